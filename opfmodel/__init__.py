@@ -1,0 +1,92 @@
+"""Declarative multi-stage AC optimal power flow with storage, in receding horizon.
+
+    >>> import opfmodel as om
+    >>> grid = om.Network("one-bus")
+    >>> grid.bus = om.Bus()
+    >>> grid.unit = om.Generator("bus", p=(0, 100), cost=om.Polynomial(0, 20, 0))
+    >>> grid.town = om.Load("bus", p=50)
+    >>> plan = om.MultiStage(grid, horizon=2).solve()
+    >>> plan.status
+    'locally_optimal'
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from opfmodel.cases import read_network, write_network
+    from opfmodel.components import (
+        Branch,
+        Bus,
+        Generator,
+        Load,
+        Network,
+        PiecewiseLinear,
+        Polynomial,
+        Shunt,
+        Storage,
+    )
+    from opfmodel.errors import OpfmodelError
+    from opfmodel.objectives.base import Objective
+    from opfmodel.objectives.economic import Economic
+    from opfmodel.plan import End, MultiStage, Plan
+    from opfmodel.profiles import Profiles
+    from solvers.expression import largest, total
+
+# Public names and where they live; imported at first use, so that "import opfmodel" stays light.
+_HOMES = {
+    "opfmodel.cases": ("read_network", "write_network"),
+    "opfmodel.components": (
+        "Branch",
+        "Bus",
+        "Generator",
+        "Load",
+        "Network",
+        "PiecewiseLinear",
+        "Polynomial",
+        "Shunt",
+        "Storage",
+    ),
+    "opfmodel.errors": ("OpfmodelError",),
+    "opfmodel.objectives.base": ("Objective",),
+    "opfmodel.objectives.economic": ("Economic",),
+    "opfmodel.plan": ("End", "MultiStage", "Plan"),
+    "opfmodel.profiles": ("Profiles",),
+    "solvers.expression": ("largest", "total"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Branch",
+    "Bus",
+    "Economic",
+    "End",
+    "Generator",
+    "Load",
+    "MultiStage",
+    "Network",
+    "Objective",
+    "OpfmodelError",
+    "PiecewiseLinear",
+    "Plan",
+    "Polynomial",
+    "Profiles",
+    "Shunt",
+    "Storage",
+    "largest",
+    "read_network",
+    "total",
+    "write_network",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'opfmodel' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

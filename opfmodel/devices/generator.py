@@ -1,0 +1,50 @@
+"""Generators."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from opfmodel.components import Generator
+from opfmodel.model import Device, Model, Stage
+from opfmodel.network import Table
+from solvers import largest_by, total
+
+__all__ = ["GeneratorDevice"]
+
+
+class GeneratorDevice(Device):
+    r"""Dispatchable units with ramp limits.
+
+    .. math::
+        p_{min} \le p^g \le p_{max}, \quad q_{min} \le q^g \le q_{max}, \quad
+        |p^g(k) - p^g(k-1)| \le \Delta\, ramp
+
+    Cost: :math:`c_2 (p^g)^2 + c_1 p^g + c_0`, or the largest of the lines of a convex
+    piecewise-linear cost.
+    """
+
+    component = Generator
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare ``pg`` and ``qg``."""
+        pg = model.dispatch(
+            "generator", "pg", "p_min", "p_max", ramp="ramp", unit="MW", description="active generation"
+        )
+        qg = None
+        if model.reactive:
+            qg = model.dispatch(
+                "generator", "qg", "q_min", "q_max", unit="MVAr", description="reactive generation"
+            )
+        model.inject(table.bus, p=pg, q=qg)
+
+    def cost(self, stage: Stage) -> Any:
+        """Cost of active generation, $/h."""
+        g = stage.generator
+        cost = total(g.c2 * g.pg**2 + g.c1 * g.pg + g.c0)
+        owners, owner = np.unique(g.segment_owner, return_inverse=True)
+        if owners.size:
+            lines = g.segment_slope * g.pg[g.segment_owner] + g.segment_offset
+            cost = cost + total(largest_by(owner, lines, owners.size))
+        return cost

@@ -1,0 +1,76 @@
+"""Storages."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.components import Storage
+from opfmodel.model import Device, Model
+from opfmodel.network import Index, Table
+from solvers import Expression, Rows
+
+__all__ = ["StorageDevice"]
+
+_OVERLAP = 1e-6  # p_c p_d in units of the largest product: an exact zero has no interior for IPOPT
+
+
+class StorageDevice(Device):
+    r"""Stores with efficiencies, standing loss and an optional inverter circle.
+
+    Positive power charges. Without losses :math:`e(k+1) = e(k) + \Delta\, p^s(k)`. With them
+
+    .. math::
+        p^s = p^c - p^d, \quad p^c, p^d \ge 0, \quad
+        e(k+1) = (1 - \sigma \Delta)\, e(k) + \Delta\, (\eta_c p^c - p^d / \eta_d)
+
+    which is a relaxation: charging and discharging at once would waste energy, and pays only
+    where energy has a negative value. ``exclusive`` forbids it (:math:`p^c p^d \\le \\epsilon`), at
+    the price of a non-convex row.
+    """
+
+    component = Storage
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare ``ps``, ``qs`` and ``e``."""
+        n, step = len(table), model.step
+        ps = model.variable("storage", "ps", "power_min", "power_max", unit="MW", description="charging power")
+        e = model.stock(
+            "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
+        )
+        qs = None
+        if model.reactive:
+            qs = model.variable("storage", "qs", "q_min", "q_max", unit="MVAr", description="reactive power drawn")
+        model.inject(table.bus, p=-ps, q=None if qs is None else -qs)
+        if not n:
+            return
+        kept = 1.0 - step * table.standing_loss
+        change = e[:, 1:] - kept * e[:, :-1]
+        lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
+        dynamics = model.build.rows("e_dynamics", n, model.stages)
+        model.build.add(change, into=dynamics)
+        ideal = np.flatnonzero(~lossy)
+        if ideal.size:
+            model.build.add(-step * ps[ideal], into=dynamics[ideal])
+        split = np.flatnonzero(lossy)
+        if split.size:
+            self._split(model, table, split, dynamics, ps)
+        circle = np.flatnonzero(np.isfinite(table.rating))
+        if qs is not None and circle.size:
+            model.build.cone("storage_rating", table.rating[circle], ps[circle], qs[circle])
+
+    @staticmethod
+    def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:
+        """Charging and discharging power of the storages that lose energy in between."""
+        n, stages, step = split.size, model.stages, model.step
+        most_charge = np.maximum(table.power_max[split], 0.0)
+        most_discharge = np.maximum(-table.power_min[split], 0.0)
+        charge = model.build.variable("pc", n, stages, 0.0, most_charge)
+        discharge = model.build.variable("pdis", n, stages, 0.0, most_discharge)
+        model.build.constrain("ps_split", ps[split] - charge + discharge == 0.0)
+        gain, drain = table.charge_efficiency[split], 1.0 / table.discharge_efficiency[split]
+        model.build.add(-step * (gain * charge - drain * discharge), into=dynamics[split])
+        exclusive = np.flatnonzero(table.exclusive[split])
+        if exclusive.size:
+            least = _OVERLAP * most_charge[exclusive] * most_discharge[exclusive]
+            rows = model.build.rows("storage_exclusive", exclusive.size, stages, -np.inf, least)
+            model.build.add(charge[exclusive] * discharge[exclusive], into=rows)

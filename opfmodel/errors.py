@@ -1,0 +1,82 @@
+"""The errors and warnings that opfmodel raises on purpose."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "CaseError",
+    "CaseWarning",
+    "ComponentError",
+    "InfeasibleError",
+    "ModelError",
+    "NetworkError",
+    "OpfmodelError",
+    "PluginError",
+    "ProfileError",
+    "ScenarioError",
+    "nearest",
+]
+
+
+class OpfmodelError(Exception):
+    """Base class: a mistake in the input, said in one sentence. The command line exits with 2."""
+
+
+class ComponentError(OpfmodelError):
+    """A field of a component breaks a rule.
+
+    Attributes
+    ----------
+    component, field
+        Name of the component and of its field, so that a caller can find the line in a file.
+    """
+
+    def __init__(self, component: str, field: str, value: object, rule: str) -> None:
+        self.component = component
+        self.field = field
+        self.value = value
+        self.rule = rule
+        super().__init__(f"{component}: {field} = {value!r}: {rule}")
+
+
+class NetworkError(OpfmodelError):
+    """The components do not make a network: a duplicate name, no bus, no generator to balance it."""
+
+
+class CaseError(OpfmodelError):
+    """A network file is missing, damaged, of an unknown format, or lacks what a model needs."""
+
+
+class CaseWarning(UserWarning):
+    """Something about a network file that its user should know."""
+
+
+class ProfileError(OpfmodelError):
+    """A time series is too short, names nothing in the network, or is not a number."""
+
+
+class ModelError(OpfmodelError):
+    """A formulation, objective, device or horizon that do not fit together."""
+
+
+class PluginError(OpfmodelError):
+    """A plugin of that name does not exist or could not be loaded."""
+
+
+class ScenarioError(OpfmodelError):
+    """A scenario file breaks its schema; the message names file, line and column."""
+
+
+class InfeasibleError(OpfmodelError):
+    """A problem has no solution where one is needed to go on."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """What to tell somebody who wrote ``name``: the nearest known names, or all of them."""
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+    if close:
+        return "did you mean " + " or ".join(repr(n) for n in close) + "?"
+    return "known are: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")

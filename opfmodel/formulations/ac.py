@@ -1,0 +1,47 @@
+"""The AC formulation in polar coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.formulations.base import Formulation, limit_angle, publish_flows, transport
+from opfmodel.model import Model
+from opfmodel.physics import branch_flow, polar_products
+
+__all__ = ["AC"]
+
+
+class AC(Formulation):
+    r"""AC power flow in voltage magnitudes and angles; exact, non-convex.
+
+    .. math::
+        S_f = y_{ff}^* v_f^2 + y_{ft}^* v_f v_t e^{j\theta}, \quad
+        S_t = y_{tt}^* v_t^2 + y_{tf}^* v_f v_t e^{-j\theta}, \quad
+        |S_f|, |S_t| \le rating, \quad \theta_{min} \le \theta \le \theta_{max}
+
+    with :math:`\theta = \theta_f - \theta_t`. Source: Zimmerman and Murillo-Sánchez, MATPOWER
+    User's Manual, section 3 and 6.1.
+    """
+
+    name = "ac"
+    reactive = True
+    publishes = ("vm", "va", "pf", "qf", "pt", "qt")
+
+    def declare(self, model: Model) -> None:
+        """Declare ``vm``, ``va`` and the branch flows."""
+        network = model.network
+        bus, branch = network.bus, network.branch
+        start = np.clip(1.0, bus.vm_min, bus.vm_max)
+        vm = model.variable("bus", "vm", "vm_min", "vm_max", unit="p.u.", start=start, description="voltage magnitude")
+        free = np.full(len(bus), np.inf)
+        free[network.reference] = 0.0
+        va = model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+        g, b = network.shunt.g, network.shunt.b
+        at_shunt = vm[network.shunt.bus] ** 2
+        model.inject(network.shunt.bus, p=-g * at_shunt, q=b * at_shunt)
+        f, t = branch.from_bus, branch.to_bus
+        angle = va[f] - va[t]
+        flows = branch_flow(network.admittance, *polar_products(vm[f], vm[t], angle))
+        publish_flows(model, *flows)
+        transport(model, *flows)
+        limit_angle(model, angle)

@@ -1,0 +1,470 @@
+"""What devices, formulations and objectives see: quantities by name, on symbols or on numbers.
+
+A :class:`Model` collects the declarations of one plan into a program. A :class:`NumericStage`
+offers the same quantities as arrays, so that the text of a cost is compiled for a solver and
+evaluated on a trajectory without being written twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import Component
+from opfmodel.errors import ModelError, nearest
+from opfmodel.network import PerUnitNetwork, Table
+from solvers import Expression, ProgramBuilder, Rows, Sum
+
+__all__ = ["Bound", "BoundSource", "Device", "Model", "NumericStage", "Published", "Quantities", "Stage", "State"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Bound = str | float | npt.NDArray[Any] | Callable[[Table], npt.NDArray[Any]]
+
+
+class Quantities:
+    """The quantities and data of one kind of component, as attributes, in per unit.
+
+    ``stage.generator.pg`` is a quantity of shape ``(items, stages)``; ``stage.generator.c1`` is a
+    field of the network, of shape ``(items, 1)``, or ``(items, stages)`` if it has a time series.
+    """
+
+    def __init__(self, kind: str, get: Callable[[str], Any], names: Callable[[], Iterable[str]]) -> None:
+        self._kind = kind
+        self._get = get
+        self._names = names
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        value = self._get(name)
+        if value is None:
+            raise ModelError(f"{self._kind} has no quantity {name!r} here; {nearest(name, self._names())}")
+        return value
+
+    def __contains__(self, name: str) -> bool:
+        return self._get(name) is not None
+
+    def __dir__(self) -> list[str]:
+        return list(self._names())
+
+
+class Stage(Protocol):
+    """What an objective, a device's cost or a user's constraint is a function of.
+
+    Attributes
+    ----------
+    network
+        The arrays of the network.
+    step
+        Length of a stage in hours.
+    """
+
+    network: PerUnitNetwork
+    step: float
+
+    def __getattr__(self, kind: str) -> Quantities:
+        """Quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity (``vm``, ``qg``, ...) is published."""
+        ...
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h: one value per stage."""
+        ...
+
+
+class Device:
+    """A kind of component that takes part in the power balance; one class in one file.
+
+    Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
+    variables with bounds, affine rows and cones, convex costs.
+
+    Attributes
+    ----------
+    component
+        The component class that declares such devices.
+    """
+
+    component: type[Component]
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare variables, limits, injections and coupling in time for all components of the kind."""
+        raise NotImplementedError
+
+    def cost(self, stage: Stage) -> Any:
+        """Operating cost in $/h, one value per stage, or None. Works on symbols and on numbers."""
+        return None
+
+
+@dataclass(frozen=True)
+class Published:
+    """A quantity that a plan reports and others may use.
+
+    Attributes
+    ----------
+    kind
+        Kind of component, which is also the dimension in results.
+    values
+        Expression of shape ``(items, stages)`` in per unit.
+    """
+
+    kind: str
+    unit: str
+    description: str
+    values: Expression
+
+
+@dataclass(frozen=True)
+class State:
+    """A quantity that one problem of a receding horizon hands to the next.
+
+    ``stock`` is carried from stage to stage by an equation and has one more point than there are
+    stages; ``dispatch`` is decided afresh, at most ``ramp`` per hour away from what it was.
+
+    Attributes
+    ----------
+    initial
+        Field with the value to start from where none is given.
+    ramped
+        Items that have a ramp limit.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    role: Literal["stock", "dispatch"]
+    initial: str | None = None
+    ramped: Index | None = None
+
+
+@dataclass(frozen=True)
+class BoundSource:
+    """Where the bounds of a block come from, so that a time series reaches them in every solve."""
+
+    kind: str
+    lower: Bound
+    upper: Bound
+
+    def resolve(self, table: Table) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """The bounds as numbers."""
+        return _resolve(table, self.lower), _resolve(table, self.upper)
+
+
+class Model:
+    """Collects what devices, a formulation and an objective declare.
+
+    Parameters
+    ----------
+    network
+        Arrays of the network.
+    stages, step
+        Horizon and length of a stage in hours.
+    reactive
+        Whether the formulation balances reactive power.
+    zones
+        Balance row of each bus.
+    generator_delay
+        1 if the dispatch of the first stage is given, 0 if it is decided.
+    series
+        ``(kind, field)`` pairs that have time series.
+    """
+
+    def __init__(
+        self,
+        network: PerUnitNetwork,
+        stages: int,
+        step: float,
+        *,
+        reactive: bool,
+        zones: Index,
+        generator_delay: int = 0,
+        series: Iterable[tuple[str, str]] = (),
+    ) -> None:
+        self.network = network
+        self.stages = stages
+        self.step = step
+        self.reactive = reactive
+        self.zones = zones
+        self.generator_delay = generator_delay
+        self.build = ProgramBuilder(f"{network.name}, {stages} stages of {step:g} h")
+        self.published: dict[str, Published] = {}
+        self.states: dict[str, State] = {}
+        self.bounds: dict[str, BoundSource] = {}
+        self.parameters: dict[str, tuple[str, str]] = {}
+        self.devices: list[Device] = []
+        self._series = set(series)
+        self._fields: dict[tuple[str, str], Expression] = {}
+        self._quantities: dict[str, Quantities] = {}
+        n_zones = int(zones.max()) + 1
+        self.balance_p = self.build.rows("p_balance", n_zones, stages)
+        self.balance_q = self.build.rows("q_balance", n_zones, stages) if reactive else None
+
+    # Variables ---------------------------------------------------------------------------
+
+    def variable(
+        self,
+        kind: str,
+        name: str,
+        lower: Bound = -np.inf,
+        upper: Bound = np.inf,
+        *,
+        unit: str,
+        description: str = "",
+        start: npt.ArrayLike | None = None,
+        points: int | None = None,
+        publish: bool = True,
+    ) -> Expression:
+        """Declare a variable for every component of a kind and every stage.
+
+        Parameters
+        ----------
+        lower, upper
+            Numbers, a field of the component's table, or a function of the table. Fields follow
+            their time series in every solve.
+        unit
+            Physical unit of the quantity.
+        points
+            Number of points in time, if it is not the number of stages.
+        """
+        table = self.network.tables[kind]
+        low, high = (_resolve(table, bound) for bound in (lower, upper))
+        if start is None:
+            start = _middle(low, high)
+        values = self.build.variable(name, len(table), points or self.stages, low, high, start)
+        self.bounds[name] = BoundSource(kind, lower, upper)
+        if publish:
+            self.publish(kind, name, values, unit=unit, description=description)
+        return values
+
+    def dispatch(
+        self,
+        kind: str,
+        name: str,
+        lower: Bound,
+        upper: Bound,
+        *,
+        unit: str,
+        description: str = "",
+        ramp: str | None = None,
+    ) -> Expression:
+        """Declare a dispatched quantity, limited in its change from stage to stage.
+
+        ``|x(k) - x(k-1)| <= ramp * step``, for the first stage with respect to what was applied
+        last. With a delay of 1 the first stage is given.
+
+        Parameters
+        ----------
+        ramp
+            Field with the limit per hour; infinite entries have no limit.
+        """
+        values = self.variable(kind, name, lower, upper, unit=unit, description=description)
+        ramped = None
+        if ramp is not None:
+            table = self.network.tables[kind]
+            ramped = np.flatnonzero(np.isfinite(table.arrays[ramp]))
+            moving = values[ramped]
+
+            def limit(t: Table, sign: float = 1.0) -> npt.NDArray[Any]:
+                return np.asarray(sign * t.arrays[ramp][ramped] * self.step)
+
+            def floor(t: Table) -> npt.NDArray[Any]:
+                return limit(t, -1.0)
+
+            if self.stages > 1 and ramped.size:
+                change = moving[:, 1:] - moving[:, :-1]
+                self.rows(kind, f"{name}_ramp", change, floor, limit)
+            if self.generator_delay == 0 and ramped.size:
+                before = self.build.parameter(f"{name}_previous", ramped.size)
+                self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit)
+        self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
+        return values
+
+    def stock(
+        self,
+        kind: str,
+        name: str,
+        lower: Bound,
+        upper: Bound,
+        *,
+        unit: str,
+        description: str = "",
+        initial: str | None = None,
+    ) -> Expression:
+        """Declare a state with ``stages + 1`` points, whose first point is the initial value.
+
+        The points at the start of each stage are published as ``name``, those at its end as
+        ``name_next``.
+        """
+        values = self.variable(
+            kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False
+        )
+        self.publish(kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage")
+        self.publish(kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at its end")
+        self.states[name] = State(name, kind, unit, "stock", initial)
+        return values
+
+    # Rows and costs ----------------------------------------------------------------------
+
+    def limit(self, kind: str, name: str, items: int, lower: Bound, upper: Bound) -> Rows:
+        """Declare rows of every stage, empty so far; bounds as for :meth:`variable`."""
+        return self._rows(kind, name, items, self.stages, lower, upper)
+
+    def rows(self, kind: str, name: str, body: Expression | Sum, lower: Bound, upper: Bound) -> Rows:
+        """State ``lower <= body <= upper``; bounds as for :meth:`variable`."""
+        items = 1 if isinstance(body, Sum) else body.items
+        rows = self._rows(kind, name, items, body.stages, lower, upper)
+        self.build.add(body, into=rows)
+        return rows
+
+    def _rows(self, kind: str, name: str, items: int, stages: int, lower: Bound, upper: Bound) -> Rows:
+        table = self.network.tables[kind]
+        rows = self.build.rows(name, items, stages, _resolve(table, lower), _resolve(table, upper))
+        self.bounds[name] = BoundSource(kind, lower, upper)
+        return rows
+
+    def inject(self, bus: Index, p: Expression | None = None, q: Expression | None = None) -> None:
+        """Add power to the balance of buses, one entry of ``bus`` per row of ``p`` and ``q``.
+
+        Reactive power is ignored by formulations that do not balance it.
+        """
+        rows = self.zones[bus]
+        if p is not None and p.items:
+            self.build.add(p, into=self.balance_p[rows])
+        if q is not None and q.items and self.balance_q is not None:
+            self.build.add(q, into=self.balance_q[rows])
+
+    def publish(
+        self, kind: str, name: str, values: Expression, *, unit: str, description: str = ""
+    ) -> None:
+        """Name a quantity, so that objectives and constraints can use it and plans report it."""
+        if name in self.published:
+            raise ModelError(f"two quantities are named {name!r}")
+        self.published[name] = Published(kind, unit, description, values)
+
+    def parameter(self, kind: str, field: str) -> Expression:
+        """A field of the network as a parameter, ``(items, stages)``: it may change between solves."""
+        if (kind, field) not in self._fields:
+            table = self.network.tables[kind]
+            name = f"{kind}.{field}"
+            value = np.asarray(table.arrays[field])[:, None]
+            self._fields[kind, field] = self.build.parameter(name, len(table), self.stages, value)
+            self.parameters[name] = (kind, field)
+        return self._fields[kind, field]
+
+    # What the declarations see of each other ---------------------------------------------
+
+    def __getattr__(self, kind: str) -> Quantities:
+        if kind.startswith("_") or kind not in self.network.tables:
+            raise AttributeError(kind)
+        if kind not in self._quantities:
+            table = self.network.tables[kind]
+
+            def get(name: str) -> Any:
+                published = self.published.get(name)
+                if published is not None and published.kind == kind:
+                    return published.values
+                if (kind, name) in self._series:
+                    return self.parameter(kind, name)
+                return _field(table, name)
+
+            self._quantities[kind] = Quantities(kind, get, lambda: self._names(kind))
+        return self._quantities[kind]
+
+    def _names(self, kind: str) -> list[str]:
+        published = [n for n, p in self.published.items() if p.kind == kind]
+        return [*published, *self.network.tables[kind].arrays]
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity is published."""
+        return name in self.published
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h."""
+        return _sum_costs(self.devices, self)
+
+
+class NumericStage:
+    """The quantities of a model as numbers, for metering costs.
+
+    Parameters
+    ----------
+    network
+        Arrays of the network, with the time series of the window put in.
+    step
+        Length of a stage in hours.
+    values
+        Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
+    devices
+        The devices whose costs count.
+    """
+
+    def __init__(
+        self,
+        network: PerUnitNetwork,
+        step: float,
+        values: Mapping[tuple[str, str], Array],
+        devices: Iterable[Device],
+    ) -> None:
+        self.network = network
+        self.step = step
+        self._values = dict(values)
+        self._devices = list(devices)
+
+    def __getattr__(self, kind: str) -> Quantities:
+        if kind.startswith("_") or kind not in self.network.tables:
+            raise AttributeError(kind)
+        table = self.network.tables[kind]
+
+        def get(name: str) -> Any:
+            value = self._values.get((kind, name))
+            return _field(table, name) if value is None else value
+
+        names = [n for k, n in self._values if k == kind]
+        return Quantities(kind, get, lambda: [*names, *table.arrays])
+
+    def has(self, name: str) -> bool:
+        """Whether there are values of a quantity."""
+        return any(n == name for _, n in self._values)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h: one value per stage."""
+        return _sum_costs(self._devices, self)
+
+
+def _sum_costs(devices: Iterable[Device], stage: Any) -> Any:
+    costs = [cost for cost in (device.cost(stage) for device in devices) if cost is not None]
+    result = costs[0] if costs else None
+    for cost in costs[1:]:
+        result = result + cost
+    return result
+
+
+def _field(table: Table, name: str) -> Any:
+    array = table.arrays.get(name)
+    if array is None or array.ndim != 1 or array.dtype.kind != "f":
+        return array
+    return array[:, None]
+
+
+def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
+    """Numbers of a bound: of a field, a function of the table, or as given."""
+    if isinstance(bound, str):
+        return np.asarray(table.arrays[bound])
+    return np.asarray(bound(table) if callable(bound) else bound)
+
+
+def _middle(lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Midpoint of finite bounds, else the feasible point nearest to zero."""
+    finite = np.isfinite(lower) & np.isfinite(upper)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(finite, 0.5 * (lower + upper), np.clip(0.0, lower, upper)))

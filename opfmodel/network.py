@@ -1,0 +1,300 @@
+"""Per-unit arrays of a network: the one place where declarations become numbers.
+
+:func:`per_unit` drops what is out of service, finds islands, settles one reference bus for each,
+and lays out every kind of component as a :class:`Table` of arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel import components
+from opfmodel.components import Component, Network, PiecewiseLinear, Polynomial
+from opfmodel.errors import ComponentError, NetworkError, nearest
+from opfmodel.physics import Admittance, branch_admittance
+from opfmodel.units import scale
+
+__all__ = ["Index", "PerUnitNetwork", "Table", "per_unit"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """All components of one kind as arrays in per unit; fields are attributes.
+
+    A span field ``p`` gives ``p_min`` and ``p_max``; a field that names a bus gives positions of
+    buses; a cost gives ``c2``, ``c1``, ``c0`` and, for piecewise-linear costs, the segments
+    ``segment_owner``, ``segment_slope``, ``segment_offset``. A field with a time series has shape
+    ``(items, stages)``, any other ``(items,)``.
+
+    Attributes
+    ----------
+    names
+        Names of the components.
+    units
+        Physical unit of each array.
+    """
+
+    kind: type[Component]
+    names: tuple[str, ...]
+    arrays: Mapping[str, npt.NDArray[Any]]
+    units: Mapping[str, str]
+    base_mva: float
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getattr__(self, name: str) -> Any:
+        arrays = object.__getattribute__(self, "arrays")
+        if name in arrays:
+            return arrays[name]
+        raise AttributeError(f"{self.kind.plural} have no field {name!r}; {nearest(name, arrays)}")
+
+    @cached_property
+    def position(self) -> dict[str, int]:
+        """Position of each component by name."""
+        return {name: i for i, name in enumerate(self.names)}
+
+    def physical(self, field: str) -> npt.NDArray[Any]:
+        """A field in its physical unit."""
+        return np.asarray(self.arrays[field] * scale(self.units[field], self.base_mva))
+
+    def with_series(self, series: Mapping[str, Array]) -> Table:
+        """The table with some fields replaced by time series in per unit, ``(items, stages)``."""
+        return replace(self, arrays={**self.arrays, **series}) if series else self
+
+
+@dataclass(frozen=True, eq=False)
+class PerUnitNetwork:
+    """A network as arrays.
+
+    Attributes
+    ----------
+    tables
+        A table per kind of component, also for kinds without components among the built-in ones.
+    island
+        Island of each bus.
+    reference
+        Position of the reference bus of each island.
+    notes
+        What was left out or chosen, in words.
+    """
+
+    name: str
+    base_mva: float
+    tables: Mapping[str, Table]
+    island: Index
+    reference: Index
+    notes: tuple[str, ...]
+
+    @property
+    def bus(self) -> Table:
+        """Buses."""
+        return self.tables["bus"]
+
+    @property
+    def branch(self) -> Table:
+        """Branches."""
+        return self.tables["branch"]
+
+    @property
+    def generator(self) -> Table:
+        """Generators."""
+        return self.tables["generator"]
+
+    @property
+    def storage(self) -> Table:
+        """Storages."""
+        return self.tables["storage"]
+
+    @property
+    def load(self) -> Table:
+        """Loads."""
+        return self.tables["load"]
+
+    @property
+    def shunt(self) -> Table:
+        """Shunts."""
+        return self.tables["shunt"]
+
+    @property
+    def n_islands(self) -> int:
+        """Number of islands."""
+        return len(self.reference)
+
+    @cached_property
+    def admittance(self) -> Admittance:
+        """Two-port admittances of all branches."""
+        t = self.branch
+        return branch_admittance(
+            t.r, t.x, t.g / 2 + t.g_from, t.b / 2 + t.b_from, t.g / 2 + t.g_to, t.b / 2 + t.b_to, t.tap, t.shift
+        )
+
+    def at_buses(self, kind: str, values: Array) -> Array:
+        """Sum of values of one kind of component at each bus: ``(items, ...) -> (buses, ...)``."""
+        out = np.zeros((len(self.bus), *values.shape[1:]))
+        np.add.at(out, self.tables[kind].bus, values)
+        return out
+
+    def with_series(self, series: Mapping[tuple[str, str], Array]) -> PerUnitNetwork:
+        """The network with time series, by ``(kind, field)``, in place of constant fields."""
+        tables = dict(self.tables)
+        for kind in {k for k, _ in series}:
+            tables[kind] = tables[kind].with_series({f: a for (k, f), a in series.items() if k == kind})
+        return replace(self, tables=tables)
+
+
+_BUILT_IN: tuple[type[Component], ...] = (
+    components.Bus,
+    components.Branch,
+    components.Generator,
+    components.Storage,
+    components.Load,
+    components.Shunt,
+)
+
+
+def per_unit(network: Network) -> PerUnitNetwork:
+    """Lay out a network as per-unit arrays.
+
+    Raises
+    ------
+    ComponentError
+        A component names a bus that does not exist.
+    NetworkError
+        There is no bus in service.
+    """
+    notes: list[str] = []
+    _check_buses(network)
+    buses = {n: b for n, b in network.of(components.Bus).items() if b.in_service}
+    kept = {
+        name: component
+        for name, component in ((n, network[n]) for n in network)
+        if component.in_service and all(bus in buses for bus in _buses_of(component))
+    }
+    dropped = [n for n in network if n not in kept and n not in network.of(components.Bus)]
+    if dropped:
+        notes.append(f"out of service, left out: {_listing(dropped)}")
+    graph = nx.Graph()
+    graph.add_nodes_from(buses)
+    graph.add_edges_from(_buses_of(c) for c in kept.values() if isinstance(c, components.Branch))
+    occupied = {bus for c in kept.values() if not isinstance(c, components.Bus) for bus in _buses_of(c)}
+    isolated = [b for b in buses if b not in occupied and len(buses) > 1]
+    if isolated:
+        notes.append(f"isolated buses with nothing connected, left out: {_listing(isolated)}")
+        graph.remove_nodes_from(isolated)
+    kept = {n: c for n, c in kept.items() if n not in isolated}
+    names = [b for b in buses if b not in isolated]
+    if not names:
+        raise NetworkError(f"network {network.name!r} has no bus in service")
+    kinds = dict.fromkeys((*_BUILT_IN, *network.kinds()))
+    position = {b: i for i, b in enumerate(names)}
+    tables = {
+        kind.kind: _table(kind, {n: c for n, c in kept.items() if type(c) is kind}, position, network.base_mva)
+        for kind in kinds
+    }
+    islands = sorted((sorted(i, key=position.__getitem__) for i in nx.connected_components(graph)), key=lambda i: position[i[0]])
+    if len(islands) > 1:
+        notes.append(f"{len(islands)} islands, each with its own reference bus")
+    island = np.zeros(len(names), dtype=np.intp)
+    reference = np.zeros(len(islands), dtype=np.intp)
+    for number, members in enumerate(islands):
+        island[[position[b] for b in members]] = number
+        chosen, note = _reference(members, buses, kept)
+        reference[number] = position[chosen]
+        if note:
+            notes.append(note)
+    return PerUnitNetwork(network.name, network.base_mva, tables, island, reference, tuple(notes))
+
+
+def _buses_of(component: Component) -> tuple[str, ...]:
+    found = [getattr(component, n) for n, f in component.fields().items() if f.metadata["form"] == "bus"]
+    return tuple(found)
+
+
+def _check_buses(network: Network) -> None:
+    known = network.of(components.Bus)
+    for name in network:
+        component = network[name]
+        for key, item in component.fields().items():
+            bus = getattr(component, key)
+            if item.metadata["form"] == "bus" and bus not in known:
+                raise ComponentError(name, key, bus, f"there is no such bus; {nearest(str(bus), known)}")
+
+
+def _reference(
+    members: list[str], buses: Mapping[str, components.Bus], kept: Mapping[str, Component]
+) -> tuple[str, str]:
+    """The reference bus of an island and a note if it was not simply the declared one."""
+    declared = [b for b in members if buses[b].reference]
+    if len(declared) == 1:
+        return declared[0], ""
+    if declared:
+        return declared[0], f"several reference buses in one island; {declared[0]!r} is taken"
+    capacity = dict.fromkeys(members, -np.inf)
+    for component in kept.values():
+        if isinstance(component, components.Generator) and component.bus in capacity:
+            capacity[component.bus] = max(capacity[component.bus], component.p[1])
+    chosen = max(members, key=lambda b: capacity[b])
+    return chosen, f"no reference bus declared in the island of {members[0]!r}; {chosen!r} is taken"
+
+
+def _table(
+    kind: type[Component], members: Mapping[str, Component], buses: Mapping[str, int], base_mva: float
+) -> Table:
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    for key, item in kind.fields().items():
+        form, unit = item.metadata["form"], item.metadata["unit"]
+        values = [getattr(m.resolved(), key) for m in members.values()]
+        factor = scale(unit, base_mva)
+        if form == "number":
+            plain = [np.inf if v is None else v for v in values]
+            arrays[key], units[key] = np.array(plain, dtype=float) / factor, unit
+        elif form == "span":
+            pairs = [v if isinstance(v, tuple | list) else (-v, v) for v in values]
+            ends = np.array(pairs, dtype=float).reshape(-1, 2) / factor
+            arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, 0].copy(), ends[:, 1].copy()
+            units[f"{key}_min"] = units[f"{key}_max"] = unit
+        elif form == "flag":
+            arrays[key], units[key] = np.array(values, dtype=bool), ""
+        elif form == "bus":
+            arrays[key], units[key] = np.array([buses[v] for v in values], dtype=np.intp), ""
+        elif form == "cost":
+            arrays |= _cost_arrays(values, base_mva)
+            units |= {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
+            units |= {"segment_owner": "", "segment_slope": "$/MWh", "segment_offset": "$/h"}
+    return Table(kind, tuple(members), arrays, units, base_mva)
+
+
+def _cost_arrays(costs: list[components.Cost], base_mva: float) -> dict[str, npt.NDArray[Any]]:
+    polynomials = [c if isinstance(c, Polynomial) else Polynomial() for c in costs]
+    segments = [
+        (owner, slope, offset)
+        for owner, cost in enumerate(costs)
+        if isinstance(cost, PiecewiseLinear)
+        for slope, offset in cost.segments
+    ]
+    lines = np.array(segments, dtype=float).reshape(-1, 3)
+    return {
+        "c2": np.array([p.c2 for p in polynomials], dtype=float) * base_mva**2,
+        "c1": np.array([p.c1 for p in polynomials], dtype=float) * base_mva,
+        "c0": np.array([p.c0 for p in polynomials], dtype=float),
+        "segment_owner": lines[:, 0].astype(np.intp),
+        "segment_slope": lines[:, 1] * base_mva,
+        "segment_offset": lines[:, 2].copy(),
+    }
+
+
+def _listing(names: list[str]) -> str:
+    shown = ", ".join(repr(n) for n in names[:5])
+    return shown + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,0 +1,5 @@
+"""Objectives: what a plan minimises, one file each."""
+
+from opfmodel.objectives.base import Objective, WeightedSum
+
+__all__ = ["Objective", "WeightedSum"]

@@ -1,0 +1,85 @@
+"""What an objective is, and weighted sums of several."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from opfmodel.model import Stage
+
+__all__ = ["Objective", "WeightedSum"]
+
+
+class Objective:
+    """A stage cost, and optionally a cost at the end of the horizon; one class in one file.
+
+    Registered by an entry point in the group ``opfmodel.objectives``; the keyword arguments of
+    the constructor are the options in a scenario file. Objectives can be added and multiplied
+    by non-negative numbers.
+
+    Attributes
+    ----------
+    needs
+        Names of the quantities without which the objective has no meaning.
+    regularisation
+        Default weight, in $/(h p.u.²), of the squares of storage power that a plan adds to make
+        the problem well posed. It never counts in a reported cost.
+    """
+
+    needs: ClassVar[tuple[str, ...]] | tuple[str, ...] = ()
+    regularisation: float = 0.0
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Cost rate in $/h, one value per stage, from quantities in per unit.
+
+        The same text is compiled for a solver and evaluated on numbers, so it is plain
+        arithmetic, NumPy functions, :func:`solvers.total`, :func:`solvers.largest`.
+        """
+        raise NotImplementedError
+
+    def terminal_cost(self, stage: Stage) -> Any:
+        """Cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
+        return None
+
+    def __add__(self, other: Objective) -> WeightedSum:
+        if not isinstance(other, Objective):
+            return NotImplemented
+        return WeightedSum([(1.0, self), (1.0, other)])
+
+    def __mul__(self, weight: float) -> WeightedSum:
+        return WeightedSum([(weight, self)])
+
+    def __rmul__(self, weight: float) -> WeightedSum:
+        return self * weight
+
+
+class WeightedSum(Objective):
+    """A weighted sum of objectives: ``2 * Economic() + VoltageDeviation()``."""
+
+    def __init__(self, parts: list[tuple[float, Objective]]) -> None:
+        from opfmodel.errors import ModelError
+
+        flat: list[tuple[float, Objective]] = []
+        for weight, part in parts:
+            if not isinstance(weight, int | float) or not 0 <= weight < float("inf"):
+                raise ModelError(f"weight of {type(part).__name__} = {weight!r}: must be a number, at least 0")
+            nested = part.parts if isinstance(part, WeightedSum) else [(1.0, part)]
+            flat += [(float(weight) * w, p) for w, p in nested]
+        self.parts = flat
+        self.needs = tuple(dict.fromkeys(name for _, part in flat for name in part.needs))
+        self.regularisation = max((part.regularisation for _, part in flat), default=0.0)
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Weighted sum of the stage costs."""
+        return _sum([(w, p.stage_cost(stage)) for w, p in self.parts])
+
+    def terminal_cost(self, stage: Stage) -> Any:
+        """Weighted sum of the terminal costs."""
+        return _sum([(w, p.terminal_cost(stage)) for w, p in self.parts])
+
+
+def _sum(terms: list[tuple[float, Any]]) -> Any:
+    result = None
+    for weight, term in terms:
+        if term is not None:
+            result = weight * term if result is None else result + weight * term
+    return result

@@ -1,0 +1,124 @@
+"""The equations of a branch, as pure functions of numbers or symbols.
+
+Every function works on floats, NumPy arrays and the expressions of :mod:`solvers` alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Admittance", "branch_admittance", "branch_flow", "polar_products", "storage_split"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Admittance:
+    """Entries of the branches' two-port admittance matrices, ``y_ab = g_ab + j b_ab``, in p.u."""
+
+    g_ff: Array
+    b_ff: Array
+    g_ft: Array
+    b_ft: Array
+    g_tf: Array
+    b_tf: Array
+    g_tt: Array
+    b_tt: Array
+
+    def __getitem__(self, key: Any) -> Admittance:
+        """The entries of some of the branches."""
+        return Admittance(*(getattr(self, field.name)[key] for field in fields(self)))
+
+
+def branch_admittance(
+    r: Array,
+    x: Array,
+    g_from: Array,
+    b_from: Array,
+    g_to: Array,
+    b_to: Array,
+    tap: Array,
+    shift: Array,
+) -> Admittance:
+    r"""Two-port admittances of the π model with an ideal transformer at the from end.
+
+    With :math:`y = 1/(r + jx)` and :math:`a = \tau e^{j\phi}`:
+
+    .. math::
+        y_{ff} = (y + y_{from}) / \tau^2, \quad y_{ft} = -y / a^*, \quad
+        y_{tf} = -y / a, \quad y_{tt} = y + y_{to}
+
+    Parameters
+    ----------
+    r, x
+        Series impedance, p.u.
+    g_from, b_from, g_to, b_to
+        Shunt admittance at each end, p.u.
+    tap, shift
+        Ratio :math:`\tau` and phase shift :math:`\phi` in radians.
+
+    References
+    ----------
+    Zimmerman and Murillo-Sánchez, MATPOWER User's Manual, section 3.2.
+    """
+    y = 1.0 / (np.asarray(r) + 1j * np.asarray(x))
+    ratio = tap * np.exp(1j * np.asarray(shift))
+    ff = (y + g_from + 1j * np.asarray(b_from)) / np.square(tap)
+    ft = -y / ratio.conj()
+    tf = -y / ratio
+    tt = y + g_to + 1j * np.asarray(b_to)
+    return Admittance(ff.real, ff.imag, ft.real, ft.imag, tf.real, tf.imag, tt.real, tt.imag)
+
+
+def polar_products(vm_f: Any, vm_t: Any, angle: Any) -> tuple[Any, Any, Any, Any]:
+    r"""Voltage products of a branch from magnitudes and the angle across it.
+
+    Returns
+    -------
+    w_f, w_t, w_r, w_i
+        :math:`v_f^2,\; v_t^2,\; v_f v_t \cos\theta,\; v_f v_t \sin\theta` with
+        :math:`\theta = \theta_f - \theta_t`.
+    """
+    product = vm_f * vm_t
+    return vm_f**2, vm_t**2, product * np.cos(angle), product * np.sin(angle)
+
+
+def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[Any, Any, Any, Any]:
+    r"""Power entering a branch at both ends, linear in the voltage products.
+
+    .. math::
+        S_f = y_{ff}^* w_f + y_{ft}^* (w_r + j w_i), \quad
+        S_t = y_{tt}^* w_t + y_{tf}^* (w_r - j w_i)
+
+    Returns
+    -------
+    pf, qf, pt, qt
+        p.u.
+    """
+    pf = y.g_ff * w_f + y.g_ft * w_r + y.b_ft * w_i
+    qf = -y.b_ff * w_f - y.b_ft * w_r + y.g_ft * w_i
+    pt = y.g_tt * w_t + y.g_tf * w_r - y.b_tf * w_i
+    qt = -y.b_tt * w_t - y.b_tf * w_r - y.g_tf * w_i
+    return pf, qf, pt, qt
+
+
+def storage_split(
+    power: Array, stored: Array, charge_efficiency: Array, discharge_efficiency: Array
+) -> tuple[Array, Array]:
+    r"""Charging and discharging power of a lossy store from its net power and what it stored.
+
+    Solves :math:`p = p^c - p^d`, :math:`s = \eta_c p^c - p^d / \eta_d`.
+
+    Parameters
+    ----------
+    power, stored
+        Net power drawn and rate of change of the energy before standing losses, p.u.
+    charge_efficiency, discharge_efficiency
+        With a product below 1; a lossless store has no unique split.
+    """
+    discharge = (charge_efficiency * power - stored) / (1.0 / discharge_efficiency - charge_efficiency)
+    return power + discharge, discharge

@@ -1,0 +1,539 @@
+"""Plans: a network, a horizon, a formulation and an objective compiled into one program."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel import plugins
+from opfmodel.components import Network
+from opfmodel.errors import ModelError
+from opfmodel.formulations.base import Formulation
+from opfmodel.model import Device, Model, NumericStage, Stage
+from opfmodel.network import PerUnitNetwork, per_unit
+from opfmodel.objectives.base import Objective
+from opfmodel.objectives.economic import Economic
+from opfmodel.profiles import Profiles
+from opfmodel.units import scale
+from solvers import Instance, Program, Session, Solution, SolutionStatus, Start, prepare, total
+from solvers.expression import Constraint
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["End", "MultiStage", "Plan", "make_devices", "make_formulation", "status_word"]
+
+Array = npt.NDArray[np.float64]
+Initial = Mapping[str, "npt.ArrayLike | None"]
+
+
+@dataclass(frozen=True)
+class End:
+    """What is asked of stored energy at the end of the horizon.
+
+    Parameters
+    ----------
+    cyclic
+        As much as at its start: e(N) = e(0).
+    minimum
+        At least this share of the capacity, from 0 to 1.
+    price
+        Value of what is left, $/MWh.
+    """
+
+    cyclic: bool = False
+    minimum: float = 0.0
+    price: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.minimum <= 1.0:
+            raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
+        if not np.isfinite(self.price):
+            raise ModelError(f"end of horizon: price = {self.price!r}: must be a number in $/MWh")
+
+
+class MultiStage:
+    """An optimal power flow over several stages, compiled once and solved any number of times.
+
+    Parameters
+    ----------
+    network
+        The declared network.
+    horizon
+        Number of stages; 1 is an ordinary optimal power flow.
+    step
+        Length of a stage in hours.
+    formulation
+        Name of a formulation, or an instance of one.
+    objective
+        An objective; :class:`opfmodel.Economic` by default.
+    profiles
+        Time series ``{"component.field": values}``; see :class:`opfmodel.Profiles`.
+    generator_delay
+        0: the dispatch of the first stage is decided, ramp-limited from the last one applied.
+        1: it is given, and decisions take effect one stage later (Faulwasser and Engelmann).
+    end
+        What is asked of stored energy at the end; see :class:`End`.
+    regularisation
+        Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed
+        and is not part of any reported cost. By default the objective's own.
+    solver, options
+        Back end and its options; see :func:`solvers.prepare`.
+    verbose
+        Whether the solver prints its iterations.
+
+    Examples
+    --------
+    >>> import opfmodel as om
+    >>> grid = om.Network("one-bus")
+    >>> grid.bus = om.Bus()
+    >>> grid.unit = om.Generator("bus", p=(0, 100), cost=om.Polynomial(0, 20, 0))
+    >>> grid.town = om.Load("bus", p=50)
+    >>> plan = om.MultiStage(grid, horizon=3).solve()
+    >>> round(plan.objective, 3)
+    3000.0
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        horizon: int = 1,
+        step: float = 1.0,
+        *,
+        formulation: str | Formulation = "ac",
+        objective: Objective | None = None,
+        profiles: Mapping[str, npt.ArrayLike] | Profiles | None = None,
+        generator_delay: int = 0,
+        end: End | None = None,
+        regularisation: float | None = None,
+        solver: str = "auto",
+        options: Mapping[str, Any] | None = None,
+        verbose: bool = False,
+    ) -> None:
+        if isinstance(horizon, bool) or not isinstance(horizon, int) or horizon < 1:
+            raise ModelError(f"horizon = {horizon!r}: must be a whole number of stages, at least 1")
+        if not isinstance(step, int | float) or not 0 < step < np.inf:
+            raise ModelError(f"step = {step!r}: must be a positive number of hours")
+        if generator_delay not in (0, 1):
+            raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
+        self.network = network
+        self.horizon = horizon
+        self.step = float(step)
+        self.arrays = per_unit(network)
+        self.formulation = make_formulation(formulation)
+        self.objective = Economic() if objective is None else objective
+        self.profiles = Profiles.of(profiles)
+        self.profiles.check(network, self.arrays)
+        self.generator_delay = generator_delay
+        self.end = End() if end is None else end
+        self.regularisation = self.objective.regularisation if regularisation is None else regularisation
+        self.solver = solver
+        self.options = dict(options or {})
+        self.verbose = verbose
+        self.build_seconds = 0.0
+        self._constraints: dict[str, Callable[[Stage], Constraint]] = {}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out of the network or chosen for it."""
+        return self.arrays.notes
+
+    def constrain(self, name: str, constraint: Callable[[Stage], Constraint]) -> None:
+        """State a constraint of one's own, for every formulation that publishes what it uses.
+
+        Parameters
+        ----------
+        name
+            Its name, for messages and multipliers.
+        constraint
+            A function of the stage, whose quantities are in physical units here. It returns a
+            comparison, entry by entry or of totals.
+
+        Examples
+        --------
+        A reserve of 100 MW in every stage::
+
+            plan.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 100)
+        """
+        if "_compiled" in self.__dict__:
+            raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
+        if name in self._constraints:
+            raise ModelError(f"two constraints are named {name!r}")
+        self._constraints[name] = constraint
+
+    # Compiling ---------------------------------------------------------------------------
+
+    def compile(self) -> Program:
+        """The program; compiled at the first call, and by :meth:`solve` if need be."""
+        return self._compiled[1]
+
+    @cached_property
+    def _compiled(self) -> tuple[Model, Program, Session]:
+        began = clock.perf_counter()
+        model = Model(
+            self.arrays,
+            self.horizon,
+            self.step,
+            reactive=self.formulation.reactive,
+            zones=self.formulation.zones(self.arrays),
+            generator_delay=self.generator_delay,
+            series=self.profiles.fields(self.arrays),
+        )
+        self.formulation.declare(model)
+        model.devices = make_devices(self.arrays)
+        for device in model.devices:
+            device.declare(model, self.arrays.tables[device.component.kind])
+        self._check_needs(model)
+        self._minimize(model)
+        for name, constraint in self._constraints.items():
+            self._constrain(model, name, constraint)
+        for name, published in model.published.items():
+            model.build.output(name, published.values)
+        program = model.build.build()
+        session = prepare(program, self.solver, self.options, self.verbose)
+        self.build_seconds = clock.perf_counter() - began
+        return model, program, session
+
+    def _check_needs(self, model: Model) -> None:
+        missing = [name for name in self.objective.needs if not model.has(name)]
+        if missing:
+            able = [n for n, f in _formulations().items() if set(missing) <= set(f.publishes)]
+            raise ModelError(
+                f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
+                f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
+                + (f"; formulations that publish it: {', '.join(able)}" if able else "")
+            )
+
+    def _minimize(self, model: Model) -> None:
+        build = model.build
+        cost = self.objective.stage_cost(model)
+        if cost is not None:
+            build.minimize(self.step * cost)
+        terminal = self.objective.terminal_cost(model)
+        if terminal is not None:
+            build.minimize(terminal)
+        if self.regularisation:
+            for name in ("ps", "qs"):
+                if model.has(name):
+                    build.minimize(self.regularisation * self.step * total(model.published[name].values ** 2))
+        price = build.parameter("end_price", 1)
+        for state in model.states.values():
+            if state.role == "stock":
+                last = model.published[f"{state.name}_next"].values[:, -1:]
+                build.minimize(-price * last)
+                if self.end.cyclic:
+                    first = model.published[state.name].values[:, :1]
+                    build.constrain(f"{state.name}_cyclic", last - first == 0.0)
+
+    def _constrain(self, model: Model, name: str, constraint: Callable[[Stage], Constraint]) -> None:
+        stated = constraint(_PhysicalStage(model))
+        if not isinstance(stated, Constraint):
+            raise ModelError(f"constraint {name!r} must return a comparison of quantities, not {stated!r}")
+        model.build.constrain(name, stated)
+
+    # Solving -----------------------------------------------------------------------------
+
+    def solve(
+        self,
+        time: int = 0,
+        initial: Initial | None = None,
+        previous: Plan | None = None,
+        end: End | None = None,
+    ) -> Plan:
+        """Solve for the stages from ``time`` on.
+
+        Parameters
+        ----------
+        time
+            First step of the profiles.
+        initial
+            Initial values by state (``e`` in MWh, ``pg`` in MW, ``qg`` in MVAr), one per
+            component; None leaves a state free. A state that is not mentioned starts from its
+            component (``Storage.initial``) or is free.
+        previous
+            An earlier plan of this problem to start from; it is shifted by the difference in time.
+        end
+            Another minimum or price at the end of the horizon, for this solve.
+
+        Returns
+        -------
+        Plan
+            Also when the solver failed; see :attr:`Plan.status`.
+        """
+        model, program, session = self._compiled
+        end = self.end if end is None else end
+        if end.cyclic != self.end.cyclic:
+            raise ModelError("cyclic is part of the compiled problem; give it to MultiStage(end=...)")
+        network = self.arrays.with_series(self.profiles.window(self.arrays, time, self.horizon))
+        numbers = _Numbers(model, program, network)
+        states = {name: None for name in (initial or {}) if name not in model.states}
+        if states:
+            raise ModelError(f"initial: no state is named {next(iter(states))!r}; states: {', '.join(model.states)}")
+        for state in model.states.values():
+            table = network.tables[state.kind]
+            if initial is not None and state.name in initial:
+                given = initial[state.name]
+                values = None if given is None else np.asarray(given, dtype=float) / scale(state.unit, table.base_mva)
+            else:
+                values = table.arrays[state.initial] if state.initial else None
+            numbers.start_from(state.name, values, self.generator_delay)
+            numbers.end_with(state.name, end)
+        instance = numbers.instance()
+        start = _start(previous, time)
+        solution = session.solve(instance, start)
+        return Plan(self, model, solution, network, time)
+
+
+class _Numbers:
+    """The parameters and bounds of one solve."""
+
+    def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
+        self.model = model
+        self.program = program
+        self.parameters: dict[str, Array] = {
+            name: np.asarray(network.tables[kind].arrays[field])
+            for name, (kind, field) in model.parameters.items()
+        }
+        self.lower: dict[str, Array] = {}
+        self.upper: dict[str, Array] = {}
+        changed = {kind for kind, table in network.tables.items() if table is not model.network.tables[kind]}
+        for name, source in model.bounds.items():
+            if source.kind in changed:
+                low, high = source.resolve(network.tables[source.kind])
+                self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
+
+    def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
+        """Bounds of a block with one more point than stages keep their last value."""
+        stages = (self.program.variables.get(name) or self.program.rows[name]).stages
+        if values.ndim == 2 and values.shape[1] == stages - 1:
+            return np.hstack([values, values[:, -1:]])
+        if values.ndim == 2 and values.shape[1] > stages:
+            return np.asarray(values[:, -stages:])
+        return values
+
+    def _bounds(self, name: str) -> tuple[Array, Array]:
+        """Bounds of a block as arrays that can be changed."""
+        block = self.program.variables.get(name) or self.program.rows[name]
+        for side, default in ((self.lower, block.lower), (self.upper, block.upper)):
+            side[name] = np.array(block.spread(side.get(name, default)))
+        return self.lower[name], self.upper[name]
+
+    def start_from(self, name: str, values: Array | None, delay: int) -> None:
+        """Fix the initial value of a state, or leave it free."""
+        state = self.model.states[name]
+        if values is not None:
+            values = np.asarray(values, dtype=float)
+            if values.shape != (self.program.variables[name].items,) or np.isnan(values).any():
+                raise ModelError(
+                    f"initial {name}: {self.program.variables[name].items} numbers are needed, "
+                    f"one per {state.kind}, not {values!r}"
+                )
+        if state.role == "stock" or delay == 1:
+            if values is not None:
+                lower, upper = self._bounds(name)
+                lower[:, 0] = upper[:, 0] = values
+        elif f"{name}_ramp_first" in self.program.rows:
+            lower, upper = self._bounds(f"{name}_ramp_first")
+            if values is None:
+                lower[:], upper[:] = -np.inf, np.inf
+            else:
+                self.parameters[f"{name}_previous"] = values[state.ramped]
+
+    def end_with(self, name: str, end: End) -> None:
+        """State the minimum and the price at the end of the horizon."""
+        if self.model.states[name].role == "stock":
+            if end.minimum > 0:
+                lower, upper = self._bounds(name)
+                lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
+            self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
+
+    def instance(self) -> Instance:
+        """The numbers as an instance of the program."""
+        return self.program.instance(self.parameters, self.lower, self.upper)
+
+
+class _PhysicalStage:
+    """A model whose quantities are in physical units, for users' constraints."""
+
+    def __init__(self, model: Model) -> None:
+        self.network = model.network
+        self.step = model.step
+        self._model = model
+
+    def __getattr__(self, kind: str) -> Any:
+        if kind.startswith("_"):
+            raise AttributeError(kind)
+        return _PhysicalQuantities(self._model, kind)
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity is published."""
+        return self._model.has(name)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h."""
+        return self._model.operating_cost
+
+
+class _PhysicalQuantities:
+    def __init__(self, model: Model, kind: str) -> None:
+        self._model = model
+        self._kind = kind
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        value = getattr(getattr(self._model, self._kind), name)
+        table = self._model.network.tables[self._kind]
+        published = self._model.published.get(name)
+        unit = published.unit if published is not None else table.units.get(name, "")
+        return value if name in table.arrays and table.arrays[name].dtype.kind != "f" else value * scale(
+            unit, table.base_mva
+        )
+
+
+def _start(previous: Plan | None, time: int) -> Start | None:
+    if previous is None or not previous.solution.status.is_optimal:
+        return None
+    return previous.solution.shifted(time - previous.time)
+
+
+def make_formulation(formulation: str | Formulation) -> Formulation:
+    """A formulation by name, or as given."""
+    if isinstance(formulation, Formulation):
+        return formulation
+    made = plugins.load("formulation", formulation)()
+    assert isinstance(made, Formulation)
+    return made
+
+
+def make_devices(network: PerUnitNetwork) -> list[Device]:
+    """The devices of a network: one object per kind that has components and takes part in the balance."""
+    wired = ("bus", "branch", "shunt")
+    return [
+        plugins.load("device", kind)()
+        for kind, table in network.tables.items()
+        if kind not in wired and len(table)
+    ]
+
+
+def _formulations() -> dict[str, type[Formulation]]:
+    known = {}
+    for name, plugin in plugins.plugins("formulation").items():
+        if plugin.origin == "opfmodel":
+            known[name] = plugin.load()
+    return known
+
+
+# Plans ------------------------------------------------------------------------------------------
+
+
+class Plan:
+    """The result of one solve: trajectories in physical units, status and effort.
+
+    Attributes
+    ----------
+    solution
+        The certified solution of the program.
+    time
+        First step of the plan.
+    """
+
+    def __init__(
+        self, problem: MultiStage, model: Model, solution: Solution, network: PerUnitNetwork, time: int
+    ) -> None:
+        self.problem = problem
+        self.solution = solution
+        self.time = time
+        self._model = model
+        self._network = network
+
+    def __repr__(self) -> str:
+        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}, {self.objective:.6g} $)"
+
+    @property
+    def status(self) -> str:
+        """``globally_optimal``, ``locally_optimal``, ``proven_infeasible``, ``locally_infeasible`` or ``stopped``."""
+        return status_word(self.solution.status)
+
+    @property
+    def termination(self) -> str:
+        """Why the solver stopped."""
+        return f"{self.solution.termination.value} ({self.solution.message})"
+
+    @property
+    def optimal(self) -> bool:
+        """Whether the plan is an optimum."""
+        return self.solution.status.is_optimal
+
+    @cached_property
+    def objective(self) -> float:
+        """Value of the objective in $ over the horizon, without regularisation."""
+        stage = self.stage
+        cost = self.problem.objective.stage_cost(stage)
+        value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
+        terminal = self.problem.objective.terminal_cost(stage)
+        return value + (0.0 if terminal is None else float(np.sum(terminal)))
+
+    @cached_property
+    def stage(self) -> NumericStage:
+        """The quantities of the plan as numbers in per unit, for metering costs."""
+        values = {
+            (published.kind, name): self.solution.value(name)
+            for name, published in self._model.published.items()
+        }
+        return NumericStage(self._network, self.problem.step, values, self._model.devices)
+
+    def next_state(self) -> dict[str, Array]:
+        """The states after the first stage has been applied, in physical units."""
+        out = {}
+        for state in self._model.states.values():
+            moment = 1 if state.role == "stock" or self.problem.generator_delay == 1 else 0
+            values = self.solution.value(state.name) if state.role == "dispatch" else self._points(state.name)
+            if moment >= values.shape[1]:
+                raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
+            out[state.name] = values[:, moment] * scale(state.unit, self._network.base_mva)
+        return out
+
+    def _points(self, name: str) -> Array:
+        return self.solution.program.variables[name].read(self.solution.x)
+
+    @cached_property
+    def data(self) -> xr.Dataset:
+        """All published quantities and the demand, in physical units, over ``time`` and components."""
+        from opfmodel.results import dataset
+
+        published = {
+            name: (p.kind, p.unit, p.description, self.solution.value(name))
+            for name, p in self._model.published.items()
+        }
+        made = dataset(self._network, published, self.times)
+        prices = -self.solution.dual("p_balance")[self._model.zones] / self.problem.step
+        unit = "$/MWh"
+        made["lmp"] = (("time", "bus"), (prices * scale(unit, self._network.base_mva)).T)
+        made["lmp"].attrs = {"units": unit, "long_name": "cost of one more MW of demand"}
+        made.attrs |= {
+            "network": self._network.name,
+            "formulation": self.problem.formulation.name,
+            "objective": type(self.problem.objective).__name__,
+            "status": self.status,
+            "step_hours": self.problem.step,
+            "cost": self.objective,
+        }
+        return made
+
+    @property
+    def times(self) -> Array:
+        """Hours at which the stages begin."""
+        return (self.time + np.arange(self.problem.horizon)) * self.problem.step
+
+
+def status_word(status: SolutionStatus) -> str:
+    """A status as the command line and results spell it."""
+    return "stopped" if status is SolutionStatus.NONE else status.value.replace(" ", "_")

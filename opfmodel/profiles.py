@@ -1,0 +1,130 @@
+"""Time series of component fields: demand, availability, prices, ratings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import Network
+from opfmodel.errors import ProfileError, nearest
+from opfmodel.network import PerUnitNetwork
+from opfmodel.units import scale
+
+__all__ = ["Profiles"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Profiles:
+    """Values of some fields of some components over time, in physical units.
+
+    Attributes
+    ----------
+    series
+        By component name and field of its table (``p`` of a load, ``p_max`` or ``c1`` of a
+        generator, ``rating`` of a branch), one value per time step.
+
+    Examples
+    --------
+    >>> Profiles.of({"town.p": [90, 95, 120], "wind.p_max": [30, 0, 10]}).length
+    3
+    """
+
+    series: Mapping[tuple[str, str], Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, series: Mapping[str, npt.ArrayLike] | Profiles | None) -> Profiles:
+        """Profiles from ``{"component.field": values}``.
+
+        Raises
+        ------
+        ProfileError
+            A key without a field, or values that are not a vector of numbers.
+        """
+        if isinstance(series, Profiles):
+            return series
+        made: dict[tuple[str, str], Array] = {}
+        for key, values in (series or {}).items():
+            component, dot, name = str(key).rpartition(".")
+            if not dot or not component:
+                raise ProfileError(f"profile {key!r}: write 'component.field', for instance 'town.p'")
+            made[component, name] = _vector(key, values)
+        return cls(made)
+
+    @property
+    def length(self) -> int | None:
+        """Number of time steps that every series covers; None if there are no series."""
+        return min((len(v) for v in self.series.values()), default=None)
+
+    def merged(self, other: Profiles) -> Profiles:
+        """These profiles, overridden by ``other``."""
+        return Profiles({**self.series, **other.series})
+
+    def fields(self, network: PerUnitNetwork) -> set[tuple[str, str]]:
+        """The ``(kind, field)`` pairs of which some component has a series."""
+        return {(self._find(network, name)[0], key) for name, key in self.series if self._in_service(network, name)}
+
+    def check(self, network: Network, arrays: PerUnitNetwork) -> None:
+        """Raise :class:`ProfileError` if a series names no component, or no field of it."""
+        for name, key in self.series:
+            if name not in network:
+                raise ProfileError(f"profile '{name}.{key}': no such component; {nearest(name, network)}")
+            kind = network[name].kind
+            numeric = [f for f, unit in arrays.tables[kind].units.items() if not f.startswith("segment_")]
+            if key not in numeric:
+                raise ProfileError(f"profile '{name}.{key}': a {kind} has no such field; {nearest(key, numeric)}")
+
+    def window(self, network: PerUnitNetwork, start: int, stages: int) -> dict[tuple[str, str], Array]:
+        """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the steps from ``start``.
+
+        Components without a series of their own keep their constant value.
+
+        Raises
+        ------
+        ProfileError
+            A series ends before the window does.
+        """
+        out: dict[tuple[str, str], Array] = {}
+        for (name, key), values in self.series.items():
+            if not self._in_service(network, name):
+                continue
+            if len(values) < start + stages:
+                raise ProfileError(
+                    f"profile '{name}.{key}' has {len(values)} values; "
+                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                )
+            kind, position = self._find(network, name)
+            table = network.tables[kind]
+            if (kind, key) not in out:
+                out[kind, key] = np.repeat(table.arrays[key][:, None], stages, axis=1).astype(float)
+            factor = scale(table.units[key], network.base_mva)
+            out[kind, key][position] = values[start : start + stages] / factor
+        return out
+
+    @staticmethod
+    def _in_service(network: PerUnitNetwork, name: str) -> bool:
+        return any(name in table.position for table in network.tables.values())
+
+    @staticmethod
+    def _find(network: PerUnitNetwork, name: str) -> tuple[str, int]:
+        for kind, table in network.tables.items():
+            if name in table.position:
+                return kind, table.position[name]
+        raise ProfileError(f"no component {name!r} in service")
+
+
+def _vector(key: str, values: Any) -> Array:
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ProfileError(f"profile {key!r}: the values must be numbers") from None
+    if array.ndim != 1:
+        raise ProfileError(f"profile {key!r}: one value per time step is expected, not shape {array.shape}")
+    if np.isnan(array).any():
+        raise ProfileError(f"profile {key!r}: step {int(np.argmax(np.isnan(array)))} is not a number")
+    return array

@@ -1,0 +1,63 @@
+"""Solver-neutral programs and the back ends that solve them. Knows nothing of power systems.
+
+State a problem with :class:`ProgramBuilder`, freeze it into a :class:`Program`, and hand it to
+:func:`solve`, or to :func:`prepare` when a sequence of instances is to be solved.
+"""
+
+from solvers.assembly import Assembly, Evaluator
+from solvers.builder import ProgramBuilder, Rows
+from solvers.errors import (
+    ProgramError,
+    SolverError,
+    SolverOptionError,
+    UnknownSolverError,
+    UnsupportedProgramError,
+)
+from solvers.expression import Constraint, Expression, Sum, largest, largest_by, total
+from solvers.program import Block, Cone, Instance, Output, Placement, Program
+from solvers.solution import Solution, Start
+from solvers.solve import BackEnd, Session, back_ends, broken_back_ends, find, prepare, solve
+from solvers.status import SolutionStatus, TerminationCondition
+from solvers.structure import Kind, Structure, classify, nonconvex_cost
+from solvers.template import Degree, Template
+
+__all__ = [
+    "Assembly",
+    "BackEnd",
+    "Block",
+    "Cone",
+    "Constraint",
+    "Degree",
+    "Evaluator",
+    "Expression",
+    "Instance",
+    "Kind",
+    "Output",
+    "Placement",
+    "Program",
+    "ProgramBuilder",
+    "ProgramError",
+    "Rows",
+    "Session",
+    "Solution",
+    "SolutionStatus",
+    "SolverError",
+    "SolverOptionError",
+    "Start",
+    "Structure",
+    "Sum",
+    "Template",
+    "TerminationCondition",
+    "UnknownSolverError",
+    "UnsupportedProgramError",
+    "back_ends",
+    "broken_back_ends",
+    "classify",
+    "find",
+    "largest",
+    "largest_by",
+    "nonconvex_cost",
+    "prepare",
+    "solve",
+    "total",
+]

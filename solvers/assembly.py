@@ -1,0 +1,305 @@
+"""From placed templates to the functions of a whole program.
+
+Values and derivatives are taken template by template, mapped over the places of each template,
+and scattered into the global vectors and sparse matrices. Nothing here grows with the size of an
+expression graph: the graph of a template is small, and the rest is index arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from solvers.program import Array, Index, Placement, Program
+from solvers.template import Degree
+
+__all__ = ["Assembly", "Evaluator"]
+
+
+class Assembly:
+    """Symbolic functions of a program: values, Jacobian and Hessian of the Lagrangian.
+
+    Every function is a CasADi ``MX`` function of ``x`` and ``p`` (and multipliers), in the form
+    that ``nlpsol`` takes for ``grad_f``, ``jac_g`` and ``hess_lag``.
+
+    Parameters
+    ----------
+    program
+        The program. Its cones are not part of these functions; see
+        :func:`solvers.transform.smooth` for a program whose cones are rows.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self._x = ca.MX.sym("x", program.n_variables)
+        self._p = ca.MX.sym("p", program.n_parameters)
+
+    @cached_property
+    def _cost(self) -> Any:
+        return self._scatter(self.program.costs, 1)
+
+    @cached_property
+    def _rows(self) -> Any:
+        return self._scatter(self.program.constraints, self.program.n_rows)
+
+    @cached_property
+    def oracle(self) -> Any:
+        """``(x, p) -> (f, g)``."""
+        return ca.Function("nlp", [self._x, self._p], [self._cost, self._rows], ["x", "p"], ["f", "g"])
+
+    @cached_property
+    def gradient(self) -> Any:
+        """``(x, p) -> (f, dense gradient of f)``."""
+        matrix = self._jacobian(self.program.costs, 1)
+        gradient = ca.densify(matrix.expression.T)
+        return ca.Function(
+            "nlp_grad_f", [self._x, self._p], [self._cost, gradient], ["x", "p"], ["f", "grad_f_x"]
+        )
+
+    @cached_property
+    def jacobian(self) -> Any:
+        """``(x, p) -> (g, sparse Jacobian of g)``."""
+        matrix = self._jacobian(self.program.constraints, self.program.n_rows)
+        return ca.Function(
+            "nlp_jac_g", [self._x, self._p], [self._rows, matrix.expression], ["x", "p"], ["g", "jac_g_x"]
+        )
+
+    @cached_property
+    def hessian(self) -> Any:
+        """``(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g``."""
+        lam_f = ca.MX.sym("lam_f")
+        lam_g = ca.MX.sym("lam_g", self.program.n_rows)
+        matrix = self._hessian(lam_f, lam_g)
+        return ca.Function(
+            "nlp_hess_l",
+            [self._x, self._p, lam_f, lam_g],
+            [matrix.expression],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        )
+
+    @cached_property
+    def cone_values(self) -> Any:
+        """``(x, p) -> (s, sparse Jacobian of s)``, the stacked values of all cones."""
+        placements, size = self.program.cone_values, self.program.n_cone_values
+        matrix = self._jacobian(placements, size)
+        return ca.Function("cone_values", [self._x, self._p], [self._scatter(placements, size), matrix.expression])
+
+    @cached_property
+    def outputs(self) -> Any:
+        """``(x, p) -> one vector per output``, in the order of the program's outputs."""
+        values = [
+            ca.vec(self._map(o.placement.template.value, o.placement))
+            for o in self.program.outputs.values()
+        ]
+        return ca.Function("outputs", [self._x, self._p], values)
+
+    # Values ------------------------------------------------------------------------------
+
+    def _local(self, placement: Placement) -> tuple[Any, Any]:
+        return _gather(self._x, placement.variables), _gather(self._p, placement.parameters)
+
+    def _map(self, function: Any, placement: Placement, *more: Any) -> Any:
+        return function.map(placement.count)(*self._local(placement), *more)
+
+    def _scatter(self, placements: Sequence[Placement], size: int) -> Any:
+        """Sum of the outputs of all placements, each added where it belongs."""
+        placed = [p for p in placements if p.count]
+        if not placed:
+            return ca.MX.zeros(size, 1)
+        values = [ca.vec(self._map(p.template.value, p)) for p in placed]
+        target = np.concatenate([p.into.ravel(order="F") for p in placed])
+        return ca.densify(ca.mtimes(_selection(size, target), ca.vertcat(*values)))
+
+    # Derivatives -------------------------------------------------------------------------
+
+    def _jacobian(self, placements: Sequence[Placement], size: int) -> _SparseSum:
+        matrix = _SparseSum((size, self.program.n_variables))
+        fixed = self.program.fixed_parameters
+        data = self.program.default.parameters
+        for placement in placements:
+            template = placement.template
+            outputs, variables = template.jacobian_pattern
+            rows, columns = placement.into[outputs], placement.variables[variables]
+            if template.degree <= Degree.LINEAR and _is_data(placement, fixed, 1):
+                local = placement.parameters
+                values = _evaluate_map(template.jacobian, np.zeros(placement.variables.shape), data[local])
+                matrix.add_numbers(rows, columns, values)
+            else:
+                matrix.add(rows, columns, self._map(template.jacobian, placement))
+        return matrix
+
+    def _hessian(self, lam_f: Any, lam_g: Any) -> _SparseSum:
+        n = self.program.n_variables
+        matrix = _SparseSum((n, n))
+        padded = ca.vertcat(lam_g, 0)  # position -1, a discarded output, has weight zero
+        for placements, constraint in ((self.program.costs, False), (self.program.constraints, True)):
+            for placement in placements:
+                template = placement.template
+                if template.degree < Degree.QUADRATIC:
+                    continue
+                if constraint:
+                    into = np.where(placement.into < 0, lam_g.numel(), placement.into)
+                    weights = _gather(padded, into)
+                else:
+                    weights = ca.repmat(lam_f, template.n_outputs, placement.count)
+                i, j = template.hessian_pattern
+                first, second = placement.variables[i], placement.variables[j]
+                values = self._map(template.hessian, placement, weights)
+                # d2/dx_i dx_j and d2/dx_j dx_i of two local variables at one place both land there
+                twice = np.where((first == second) & (i != j)[:, None], 2.0, 1.0)
+                matrix.add(np.minimum(first, second), np.maximum(first, second), values, twice)
+        return matrix
+
+
+class _SparseSum:
+    """A sparse matrix collected from scattered entries, with repeated positions summed."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+        self._keys: list[npt.NDArray[np.int64]] = []
+        self._factors: list[Array] = []
+        self._values: list[Any] = []
+        self._number_keys: list[npt.NDArray[np.int64]] = []
+        self._numbers: list[Array] = []
+
+    def _key(self, rows: Index, columns: Index) -> npt.NDArray[np.int64]:
+        flat = columns.astype(np.int64) * self._shape[0] + rows
+        return np.where(rows < 0, -1, flat).ravel(order="F")
+
+    def add(self, rows: Index, columns: Index, values: Any, factor: Array | None = None) -> None:
+        """Add symbolic ``values`` of the same shape as ``rows`` and ``columns``."""
+        if rows.size:
+            self._keys.append(self._key(rows, columns))
+            self._factors.append(np.ones(rows.size) if factor is None else factor.ravel(order="F"))
+            self._values.append(ca.vec(values))
+
+    def add_numbers(self, rows: Index, columns: Index, values: Array) -> None:
+        """Add numbers that never change."""
+        if rows.size:
+            self._number_keys.append(self._key(rows, columns))
+            self._numbers.append(values.ravel(order="F"))
+
+    @cached_property
+    def expression(self) -> Any:
+        """The matrix as a sparse ``MX``."""
+        keys = np.concatenate([*self._keys, *self._number_keys, np.zeros(0, dtype=np.int64)])
+        unique, position = np.unique(keys, return_inverse=True)
+        discarded = int(unique.size > 0 and unique[0] < 0)
+        unique, position = unique[discarded:], position - discarded
+        sparsity = _sparsity(self._shape, unique)
+        symbolic = sum(k.size for k in self._keys)
+        constant = np.zeros(unique.size)
+        where, numbers = position[symbolic:], np.concatenate([*self._numbers, np.zeros(0)])
+        np.add.at(constant, where[where >= 0], numbers[where >= 0])
+        if not self._keys:
+            return ca.MX(ca.DM(sparsity, constant))
+        selection = _selection(unique.size, position[:symbolic], np.concatenate(self._factors))
+        nonzeros = ca.mtimes(selection, ca.vertcat(*self._values))
+        if self._number_keys:
+            nonzeros = nonzeros + ca.DM(constant)
+        return ca.MX(sparsity, ca.densify(nonzeros))
+
+
+def _sparsity(shape: tuple[int, int], keys: npt.NDArray[np.int64]) -> Any:
+    """CasADi sparsity from sorted keys ``column * n_rows + row``."""
+    n_rows = max(shape[0], 1)
+    columns, rows = np.divmod(keys, n_rows)
+    starts = np.searchsorted(columns, np.arange(shape[1] + 1))
+    return ca.Sparsity(shape[0], shape[1], starts.tolist(), rows.tolist())
+
+
+def _selection(size: int, target: npt.NDArray[np.integer[Any]], values: Array | None = None) -> Any:
+    """Matrix that adds entry ``i`` of a vector to position ``target[i]``; -1 drops it."""
+    kept = target >= 0
+    starts = np.concatenate([[0], np.cumsum(kept)])
+    sparsity = ca.Sparsity(size, target.size, starts.tolist(), target[kept].tolist())
+    if values is None:
+        return ca.DM(sparsity, 1.0)
+    return ca.DM(sparsity, values[kept])
+
+
+def _gather(vector: Any, index: Index) -> Any:
+    """``vector[index]`` with the shape of ``index``."""
+    if index.size == 0:
+        return ca.MX(*index.shape)
+    return ca.reshape(vector.nz[index.ravel(order="F").tolist()], *index.shape)
+
+
+def _is_data(placement: Placement, fixed: npt.NDArray[np.bool_], order: int) -> bool:
+    """Whether the derivatives of a placement depend on nothing that an instance may change."""
+    used = placement.template.derivative_parameters(order)
+    return bool(fixed[placement.parameters[used]].all())
+
+
+def _evaluate_map(function: Any, variables: Array, parameters: Array) -> Array:
+    """Values of a template function at every place, as an array ``(outputs, M)``."""
+    count = variables.shape[1]
+    out = function.map(count)(ca.DM(variables), ca.DM(parameters))
+    return np.asarray(out, dtype=float)
+
+
+class Evaluator:
+    """The functions of a program on plain arrays, for certificates, matrices and tests.
+
+    Parameters
+    ----------
+    program
+        The program; ``p`` below is an instance's parameter vector.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.assembly = Assembly(program)
+
+    def objective(self, x: Array, p: Array) -> float:
+        """Value of the objective."""
+        return float(self.assembly.oracle(x, p)[0])
+
+    def rows(self, x: Array, p: Array) -> Array:
+        """Values of the rows."""
+        return _vector(self.assembly.oracle(x, p)[1])
+
+    def gradient(self, x: Array, p: Array) -> Array:
+        """Gradient of the objective."""
+        return _vector(self.assembly.gradient(x, p)[1])
+
+    def jacobian(self, x: Array, p: Array) -> sp.csc_matrix:
+        """Jacobian of the rows."""
+        return _matrix(self.assembly.jacobian(x, p)[1])
+
+    def hessian(self, x: Array, p: Array, lam_f: float, lam_g: Array) -> sp.csc_matrix:
+        """Upper triangle of the Hessian of the Lagrangian."""
+        return _matrix(self.assembly.hessian(x, p, lam_f, lam_g))
+
+    def cones(self, x: Array, p: Array) -> tuple[Array, sp.csc_matrix]:
+        """Values of the cones and their Jacobian."""
+        values, jacobian = self.assembly.cone_values(x, p)
+        return _vector(values), _matrix(jacobian)
+
+    def outputs(self, x: Array, p: Array) -> dict[str, Array]:
+        """Values of the named outputs, shape ``(items, stages)`` each."""
+        if not self.program.outputs:
+            return {}
+        values = self.assembly.outputs.call([ca.DM(x), ca.DM(p)])
+        return {
+            output.name: _vector(value).reshape((output.items, output.stages), order="F")
+            for output, value in zip(self.program.outputs.values(), values, strict=True)
+        }
+
+
+def _vector(value: Any) -> Array:
+    return np.asarray(ca.densify(value), dtype=float).ravel(order="F")
+
+
+def _matrix(value: Any) -> sp.csc_matrix:
+    sparsity = value.sparsity()
+    data = np.asarray(value.nonzeros(), dtype=float)
+    return sp.csc_matrix((data, sparsity.row(), sparsity.colind()), shape=value.shape)

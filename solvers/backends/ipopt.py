@@ -1,0 +1,210 @@
+"""IPOPT, or another ``nlpsol`` plugin, through CasADi: any program."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from solvers.assembly import Assembly, Evaluator
+from solvers.errors import SolverError, SolverOptionError
+from solvers.program import Array, Instance, Program
+from solvers.solution import Solution, Start
+from solvers.status import SolutionStatus, TerminationCondition
+from solvers.structure import Kind, classify, nonconvex_cost
+from solvers.threads import use_one_blas_thread
+from solvers.transform import smooth
+
+__all__ = ["Ipopt"]
+
+# Measured on multi-stage AC-OPF; docs/warm-start.md has the figures.
+_COLD: dict[str, Any] = {
+    "tol": 1e-6,
+    "constr_viol_tol": 1e-7,
+    "mu_init": 1e-2,
+    "mumps_pivot_order": 5,  # METIS
+    "mumps_scaling": 0,
+    "min_refinement_steps": 0,
+}
+_WARM: dict[str, Any] = _COLD | {
+    "warm_start_init_point": "yes",
+    "warm_start_bound_push": 1e-6,
+    "warm_start_bound_frac": 1e-6,
+    "warm_start_slack_bound_push": 1e-6,
+    "warm_start_slack_bound_frac": 1e-6,
+    "warm_start_mult_bound_push": 1e-6,
+    "mu_init": 1e-7,
+}
+# Plugins that take their own options in a dictionary of their own name.
+_NESTED = ("ipopt", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp", "fatrop", "conopt")
+
+_TERMINATION = {
+    "Solve_Succeeded": TerminationCondition.CONVERGED,
+    "Solved_To_Acceptable_Level": TerminationCondition.ACCEPTABLE,
+    "Feasible_Point_Found": TerminationCondition.CONVERGED,
+    "Infeasible_Problem_Detected": TerminationCondition.INFEASIBLE,
+    "Diverging_Iterates": TerminationCondition.UNBOUNDED,
+    "Maximum_Iterations_Exceeded": TerminationCondition.ITERATION_LIMIT,
+    "Maximum_CpuTime_Exceeded": TerminationCondition.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": TerminationCondition.TIME_LIMIT,
+    "User_Requested_Stop": TerminationCondition.INTERRUPTED,
+    "Search_Direction_Becomes_Too_Small": TerminationCondition.NUMERICAL_FAILURE,
+    "Restoration_Failed": TerminationCondition.NUMERICAL_FAILURE,
+    "Error_In_Step_Computation": TerminationCondition.NUMERICAL_FAILURE,
+    "Not_Enough_Degrees_Of_Freedom": TerminationCondition.INVALID_PROGRAM,
+    "Invalid_Problem_Definition": TerminationCondition.INVALID_PROGRAM,
+    "Invalid_Number_Detected": TerminationCondition.INVALID_PROGRAM,
+}
+_UNIFIED = {
+    "SOLVER_RET_SUCCESS": TerminationCondition.CONVERGED,
+    "SOLVER_RET_LIMITED": TerminationCondition.ITERATION_LIMIT,
+    "SOLVER_RET_INFEASIBLE": TerminationCondition.INFEASIBLE,
+    "SOLVER_RET_NAN": TerminationCondition.NUMERICAL_FAILURE,
+}
+
+
+class Ipopt:
+    """IPOPT with the MUMPS of CasADi's wheel; ``ipopt:NAME`` is any other ``nlpsol`` plugin."""
+
+    name = "ipopt"
+    accepts = Kind.NONLINEAR
+
+    def solvers(self) -> list[str]:
+        """IPOPT first, then the other plugins whose libraries are present."""
+        others = ("sqpmethod", "fatrop", "blocksqp", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
+        return [name for name in ("ipopt", *others) if ca.has_nlpsol(name)]
+
+    def prepare(
+        self, program: Program, solver: str, options: dict[str, Any], verbose: bool
+    ) -> IpoptSession:
+        """Assemble the functions of ``program``; the solver itself is made at the first solve."""
+        return IpoptSession(program, solver, options, verbose)
+
+
+class IpoptSession:
+    """A program assembled for an ``nlpsol`` plugin."""
+
+    def __init__(self, program: Program, plugin: str, options: dict[str, Any], verbose: bool) -> None:
+        use_one_blas_thread()
+        self._program = program
+        self._smooth = smooth(program)
+        self._evaluator = Evaluator(program)
+        same = self._smooth.program is program
+        self._assembly = self._evaluator.assembly if same else Assembly(self._smooth.program)
+        self._plugin = plugin
+        self._options = options
+        self._verbose = verbose
+        self._solvers: dict[bool, Any] = {}
+        self._solver(warm=False)
+
+    def _solver(self, warm: bool) -> Any:
+        """The plugin with the options for a cold or a warm start; both share all functions."""
+        if warm not in self._solvers:
+            functions = {
+                "grad_f": self._assembly.gradient,
+                "jac_g": self._assembly.jacobian,
+                "hess_lag": self._assembly.hessian,
+            }
+            try:
+                self._solvers[warm] = ca.nlpsol(
+                    "solver", self._plugin, self._assembly.oracle, functions | self._plugin_options(warm)
+                )
+            except RuntimeError as error:
+                raise SolverOptionError(
+                    f"{self._plugin} refused its options {self._options or '(defaults)'}: {_last_line(error)}"
+                ) from error
+        return self._solvers[warm]
+
+    def _plugin_options(self, warm: bool) -> dict[str, Any]:
+        general: dict[str, Any] = {
+            "print_time": False,
+            "error_on_fail": False,
+            "calc_lam_p": False,
+        }
+        if self._plugin != "ipopt":
+            own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
+            return general | own
+        printing = {"print_level": 5} if self._verbose else {"print_level": 0, "sb": "yes"}
+        return general | {"ipopt": (_WARM if warm else _COLD) | printing | self._options}
+
+    def solve(self, instance: Instance, start: Start | None = None) -> Solution:
+        """Solve; with the multipliers of an earlier solution the start is a warm one."""
+        at = self._smooth.instance(instance)
+        warm = start is not None and start.lam_g is not None and start.lam_x is not None
+        arguments: dict[str, Any] = {
+            "x0": instance.start if start is None else start.x,
+            "p": at.parameters,
+            "lbx": at.lower,
+            "ubx": at.upper,
+            "lbg": at.row_lower,
+            "ubg": at.row_upper,
+        }
+        if start is not None and start.lam_x is not None and start.lam_g is not None:
+            arguments["lam_x0"] = start.lam_x
+            arguments["lam_g0"] = self._row_multipliers(start.lam_g, start, at)
+        solver = self._solver(warm)
+        began = time.perf_counter()
+        try:
+            result = solver(**arguments)
+        except RuntimeError as error:
+            raise SolverError(f"{self._plugin} failed: {_last_line(error)}") from error
+        seconds = time.perf_counter() - began
+        return self._solution(instance, result, solver.stats(), seconds)
+
+    def _row_multipliers(self, lam_g: Array, start: Start, at: Instance) -> Array:
+        if not self._program.cones:
+            return lam_g
+        s, _ = self._evaluator.cones(start.x, at.parameters)
+        z = np.zeros_like(s) if start.z is None else start.z
+        return self._smooth.row_multipliers(lam_g, z, s)
+
+    def _solution(
+        self, instance: Instance, result: dict[str, Any], stats: dict[str, Any], seconds: float
+    ) -> Solution:
+        program = self._program
+        x, lam_x, lam_g = (_vector(result[key]) for key in ("x", "lam_x", "lam_g"))
+        z = np.zeros(0)
+        if program.cones:
+            s, _ = self._evaluator.cones(x, instance.parameters)
+            z = self._smooth.cone_multipliers(lam_g, s)
+        message = str(stats.get("return_status", ""))
+        termination = _TERMINATION.get(message) or _UNIFIED.get(
+            str(stats.get("unified_return_status")), TerminationCondition.ERROR
+        )
+        if message == "Invalid_Option":
+            raise SolverOptionError(f"{self._plugin} does not accept the options {self._options}")
+        return Solution(
+            program=program,
+            evaluator=self._evaluator,
+            instance=instance,
+            x=x,
+            lam_x=lam_x,
+            lam_g=lam_g[: program.n_rows],
+            z=z,
+            termination=termination,
+            status=_status(program, instance, termination),
+            message=message,
+            solver=self._plugin,
+            iterations=int(stats.get("iter_count", 0)),
+            seconds=seconds,
+        )
+
+
+def _status(program: Program, instance: Instance, termination: TerminationCondition) -> SolutionStatus:
+    if termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE):
+        convex = classify(program).kind < Kind.NONLINEAR and nonconvex_cost(program, instance) is None
+        return SolutionStatus.GLOBALLY_OPTIMAL if convex else SolutionStatus.LOCALLY_OPTIMAL
+    if termination is TerminationCondition.INFEASIBLE:
+        return SolutionStatus.LOCALLY_INFEASIBLE
+    return SolutionStatus.NONE
+
+
+def _vector(value: Any) -> Array:
+    return np.asarray(value, dtype=float).ravel()
+
+
+def _last_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__

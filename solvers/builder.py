@@ -1,0 +1,295 @@
+"""Stating a program: blocks first, then what is added to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from solvers.errors import ProgramError
+from solvers.expression import Constraint, Expression, Leaf, Sum, constant, reference
+from solvers.program import Block, Cone, Index, Output, Placement, Program
+from solvers.template import Template
+
+__all__ = ["ProgramBuilder", "Rows"]
+
+
+class Rows:
+    """Rows of a program, addressed like an array of shape ``(items, stages)``."""
+
+    def __init__(self, name: str, index: Index) -> None:
+        self.name = name
+        self.index = index
+
+    def __getitem__(self, key: Any) -> Rows:
+        """A selection of rows; items may repeat, so that several terms reach one row."""
+        return Rows(self.name, np.atleast_2d(self.index[key]))
+
+
+class ProgramBuilder:
+    """Collects blocks, rows, costs and cones, and freezes them into a :class:`solvers.Program`.
+
+    Parameters
+    ----------
+    name
+        Name of the program, for messages.
+
+    Examples
+    --------
+    Minimise ``(x - 1)^2 + y`` subject to ``x + y >= 3``, ``y >= 0``:
+
+    >>> from solvers import ProgramBuilder, solve
+    >>> build = ProgramBuilder("example")
+    >>> x = build.variable("x", 1)
+    >>> y = build.variable("y", 1, lower=0.0)
+    >>> build.minimize((x - 1.0) ** 2 + y)
+    >>> _ = build.constrain("enough", x + y >= 3.0)
+    >>> round(solve(build.build(), "ipopt").objective, 6)
+    1.75
+    """
+
+    def __init__(self, name: str = "program") -> None:
+        self.name = name
+        self.symbols: dict[str, Any] = {}
+        self._variables: dict[str, Block] = {}
+        self._parameters: dict[str, Block] = {}
+        self._rows: dict[str, Block] = {}
+        self._cones: dict[str, Cone] = {}
+        self._constraints: list[Placement] = []
+        self._costs: list[Placement] = []
+        self._cone_values: list[Placement] = []
+        self._outputs: dict[str, Output] = {}
+        self._data: dict[str, Block] = {}
+
+    # Blocks ------------------------------------------------------------------------------
+
+    def variable(
+        self,
+        name: str,
+        items: int,
+        stages: int = 1,
+        lower: npt.ArrayLike = -np.inf,
+        upper: npt.ArrayLike = np.inf,
+        start: npt.ArrayLike | None = None,
+    ) -> Expression:
+        """Declare a block of variables; by default they start at the feasible point nearest to zero."""
+        block = self._block(self._variables, name, items, stages, lower, upper, 0.0)
+        value = np.clip(0.0, block.lower, block.upper) if start is None else block.spread(start)
+        self._variables[name] = Block(
+            name, items, stages, block.offset, block.lower, block.upper, np.ascontiguousarray(value)
+        )
+        return reference(self, "variable", block.index)
+
+    def parameter(self, name: str, items: int, stages: int = 1, value: npt.ArrayLike = 0.0) -> Expression:
+        """Declare a block of parameters: numbers that change from instance to instance."""
+        block = self._block(self._parameters, name, items, stages, -np.inf, np.inf, value)
+        return reference(self, "parameter", block.index)
+
+    def rows(
+        self,
+        name: str,
+        items: int,
+        stages: int = 1,
+        lower: npt.ArrayLike = 0.0,
+        upper: npt.ArrayLike = 0.0,
+    ) -> Rows:
+        """Declare a block of rows, empty so far; :meth:`add` puts terms into them."""
+        block = self._block(self._rows, name, items, stages, lower, upper, 0.0)
+        return Rows(name, block.index)
+
+    # What is added to them ---------------------------------------------------------------
+
+    def add(
+        self,
+        what: Template | Expression | Sum | Sequence[Expression],
+        *,
+        into: Rows | Sequence[Rows] | Index,
+        variables: Index | None = None,
+        parameters: Index | None = None,
+    ) -> None:
+        """Add terms to rows; what several terms add to the same row is summed.
+
+        Parameters
+        ----------
+        what
+            An expression, a sum, or several expressions that share a template (which is cheaper
+            than one template each when they share sub-expressions). Or a :class:`Template`,
+            placed by index arrays.
+        into
+            The rows, one per expression, that broadcast against it; for a template positions of
+            shape ``(n_outputs, M)`` with -1 where an output is not wanted.
+        variables, parameters
+            Only for a template: positions of shape ``(n_variables, M)`` and ``(n_parameters, M)``.
+        """
+        if isinstance(what, Template):
+            count = np.asarray(into).shape[1]
+            empty = np.zeros((0, count), dtype=np.intp)
+            self._constraints.append(
+                Placement(
+                    what,
+                    np.asarray(empty if variables is None else variables, dtype=np.intp),
+                    np.asarray(empty if parameters is None else parameters, dtype=np.intp),
+                    np.asarray(into, dtype=np.intp),
+                    what.name,
+                )
+            )
+            return
+        if isinstance(what, Sum):
+            assert isinstance(into, Rows)
+            for term in what.terms:
+                self.add(term, into=into)
+            return
+        expressions = [what] if isinstance(what, Expression) else list(what)
+        rows = [into] if isinstance(into, Rows) else list(into)
+        name = "+".join(dict.fromkeys(r.name for r in rows))  # type: ignore[union-attr]
+        index = [r.index for r in rows]  # type: ignore[union-attr]
+        self._constraints.append(self._place(name, expressions, index))
+
+    def minimize(self, cost: Expression | Sum) -> None:
+        """Add the sum of all entries of ``cost`` to the objective."""
+        for term in cost.terms if isinstance(cost, Sum) else (cost,):
+            self._costs.append(self._place(f"cost {len(self._costs) + 1}", [term], None))
+
+    def constrain(self, name: str, constraint: Constraint) -> Rows:
+        """Declare rows for a comparison of expressions or sums and fill them."""
+        body = constraint.body
+        items, stages = (1, body.stages) if isinstance(body, Sum) else body.shape
+        rows = self.rows(name, items, stages, constraint.lower, constraint.upper)
+        self.add(body, into=rows)
+        return rows
+
+    def cone(self, name: str, bound: Any, *entries: Any) -> None:
+        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables."""
+        expressions = [self.expression(e) for e in (bound, *entries)]
+        shape = np.broadcast_shapes(*(e.shape for e in expressions))
+        self._check_new(name)
+        offset = sum(c.size for c in self._cones.values())
+        cone = Cone(name, len(expressions), shape[0], shape[1], offset)
+        self._cones[name] = cone
+        index = [row.reshape((shape[0], shape[1]), order="F") for row in cone.index]
+        self._cone_values.append(self._place(name, expressions, index))
+
+    def output(self, name: str, expression: Expression) -> None:
+        """Name an expression whose values every solution reports."""
+        items, stages = expression.shape
+        index = np.arange(items * stages, dtype=np.intp).reshape((items, stages), order="F")
+        self._outputs[name] = Output(name, items, stages, self._place(name, [expression], [index]))
+
+    # Expressions -------------------------------------------------------------------------
+
+    def expression(self, values: Any) -> Expression:
+        """An expression as it is; numbers as a constant expression."""
+        if isinstance(values, Expression):
+            return values
+        if isinstance(values, Sum):
+            raise ProgramError("a sum cannot enter a formula; it can only be added, scaled and compared")
+        return constant(self, values)
+
+    def epigraph(
+        self, pieces: Sequence[Expression], owner: Index | None = None, items: int | None = None
+    ) -> Expression:
+        """A new variable that lies above each piece. See :func:`solvers.largest`."""
+        shape = np.broadcast_shapes(*(p.shape for p in pieces))
+        name = f"largest_{sum(n.startswith('largest_') for n in self._variables) + 1}"
+        above = self.variable(name, shape[0] if items is None else items, shape[1])
+        for position, piece in enumerate(pieces):
+            bounded = above if owner is None else above[owner]
+            self.constrain(f"{name}_piece_{position + 1}", bounded - piece >= 0.0)
+        return above
+
+    def build(self) -> Program:
+        """Freeze what has been declared into a program."""
+        return Program(
+            name=self.name,
+            variables=dict(self._variables),
+            parameters=dict(self._parameters),
+            rows=dict(self._rows),
+            cones=dict(self._cones),
+            constraints=tuple(self._constraints),
+            costs=tuple(self._costs),
+            cone_values=tuple(self._cone_values),
+            outputs=dict(self._outputs),
+        )
+
+    # -------------------------------------------------------------------------------------
+
+    def _check_new(self, name: str) -> None:
+        taken: tuple[dict[str, Any], ...] = (self._variables, self._parameters, self._rows, self._cones)
+        if any(name in blocks for blocks in taken):
+            raise ProgramError(f"program {self.name!r} has a block named {name!r} already")
+
+    def _block(
+        self,
+        blocks: dict[str, Block],
+        name: str,
+        items: int,
+        stages: int,
+        lower: npt.ArrayLike,
+        upper: npt.ArrayLike,
+        value: npt.ArrayLike,
+        fixed: bool = False,
+    ) -> Block:
+        self._check_new(name)
+        offset = sum(b.size for b in blocks.values())
+        empty = np.zeros((items, stages))
+        bare = Block(name, items, stages, offset, empty, empty, empty)
+        low, high, default = (np.ascontiguousarray(bare.spread(v)) for v in (lower, upper, value))
+        block = Block(name, items, stages, offset, low, high, default, fixed)
+        crossed = np.argwhere(low > high)
+        if crossed.size:
+            item, stage = (int(i) for i in crossed[0])
+            raise ProgramError(
+                f"block {name!r}, item {item}, stage {stage}: the lower bound {low[item, stage]:g} "
+                f"is above the upper bound {high[item, stage]:g}"
+            )
+        blocks[name] = block
+        return block
+
+    def _place(
+        self, name: str, expressions: Sequence[Expression], into: Sequence[Index] | None
+    ) -> Placement:
+        """Turn expressions into one template and the places where it is used."""
+        shape = np.broadcast_shapes(*(e.shape for e in expressions), *(i.shape for i in into or ()))
+        leaves: dict[str, Leaf] = {}
+        for expression in expressions:
+            leaves.update(expression.leaves)
+        variables = [leaf for leaf in leaves.values() if leaf.kind == "variable"]
+        parameters = [leaf for leaf in leaves.values() if leaf.kind != "variable"]
+
+        def flatten(source: Any) -> Any:
+            return np.broadcast_to(source, shape).ravel(order="F")
+
+        count = shape[0] * shape[1]
+        variable_index = np.zeros((len(variables), count), dtype=np.intp)
+        for row, leaf in enumerate(variables):
+            variable_index[row] = flatten(leaf.source)
+        parameter_index = np.zeros((len(parameters), count), dtype=np.intp)
+        for row, leaf in enumerate(parameters):
+            source = self._data_block(leaf).index if leaf.kind == "constant" else leaf.source
+            parameter_index[row] = flatten(source)
+        template = Template(
+            name,
+            ca.vertcat(*(leaf.symbol for leaf in variables)),
+            ca.vertcat(*(leaf.symbol for leaf in parameters)),
+            ca.vertcat(*(e.formula for e in expressions)),
+        )
+        index = np.zeros((1, count), dtype=np.intp)  # a cost has one place to go
+        if into is not None:
+            index = np.stack([flatten(i) for i in into])
+        return Placement(template, variable_index, parameter_index, index, name)
+
+    def _data_block(self, leaf: Leaf) -> Block:
+        """The parameter block that holds a constant of the formulas; equal constants share it."""
+        key = leaf.symbol.name()
+        if key not in self._data:
+            values = np.asarray(leaf.source, dtype=float)
+            name = f"data {len(self._data) + 1}"
+            self._data[key] = self._block(
+                self._parameters, name, *values.shape, -np.inf, np.inf, values, fixed=True
+            )
+        return self._data[key]
+
+

@@ -1,0 +1,366 @@
+"""Arrays of values that share one formula: the plain arithmetic that becomes templates.
+
+An :class:`Expression` of shape ``(items, stages)`` is one small symbolic formula together with
+the places its symbols are read from. Arithmetic, slicing and NumPy functions act on the formula
+once, however large the array is, and a :class:`solvers.ProgramBuilder` turns the result into a
+template placed ``items * stages`` times. The functions of this module accept plain arrays too,
+so that the same text states a cost to a solver and evaluates it on numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from solvers.errors import ProgramError
+from solvers.program import Array, Index
+
+if TYPE_CHECKING:
+    from solvers.builder import ProgramBuilder
+
+__all__ = ["Constraint", "Expression", "Leaf", "Sum", "largest", "largest_by", "total"]
+
+LeafKind = Literal["variable", "parameter", "constant"]
+
+_UFUNCS: dict[np.ufunc, Callable[..., Any]] = {
+    np.add: lambda a, b: a + b,
+    np.subtract: lambda a, b: a - b,
+    np.multiply: lambda a, b: a * b,
+    np.true_divide: lambda a, b: a / b,
+    np.power: lambda a, b: a**b,
+    np.negative: lambda a: -a,
+    np.positive: lambda a: a,
+    np.square: lambda a: a * a,
+    np.sqrt: ca.sqrt,
+    np.sin: ca.sin,
+    np.cos: ca.cos,
+    np.exp: ca.exp,
+    np.log: ca.log,
+}
+
+# array <= expression reaches us as a ufunc with the sides in this order: turn it round
+_COMPARISONS: dict[np.ufunc, Callable[..., Any]] = {
+    np.less_equal: lambda expression, array: expression >= array,
+    np.greater_equal: lambda expression, array: expression <= array,
+    np.equal: lambda expression, array: expression == array,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """A symbol of a formula and where each of its values is read from.
+
+    ``source`` has a shape that broadcasts to that of the expression: positions in the vector
+    of variables or parameters, or the numbers themselves for a constant.
+    """
+
+    kind: LeafKind
+    symbol: Any
+    source: Index | Array
+
+
+class Expression:
+    """An array of shape ``(items, stages)`` of values of one formula.
+
+    Made by :class:`solvers.ProgramBuilder`; combined by arithmetic, NumPy functions and slicing.
+    Arrays of numbers take part: shape ``(items,)`` is one value per item, ``(items, stages)``
+    one per entry.
+    """
+
+    __slots__ = ("builder", "formula", "leaves", "shape")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(
+        self, builder: ProgramBuilder, formula: Any, leaves: dict[str, Leaf], shape: tuple[int, int]
+    ) -> None:
+        self.builder = builder
+        self.formula = formula
+        self.leaves = leaves
+        self.shape = shape
+
+    def __repr__(self) -> str:
+        return f"Expression({self.formula}, shape={self.shape})"
+
+    @property
+    def items(self) -> int:
+        """Number of items."""
+        return self.shape[0]
+
+    @property
+    def stages(self) -> int:
+        """Number of stages."""
+        return self.shape[1]
+
+    def __getitem__(self, key: Any) -> Expression:
+        """Select items, or items and stages, as NumPy does with an array of two dimensions."""
+        keys = key if isinstance(key, tuple) else (key, slice(None))
+        rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
+        old, new, leaves = [], [], {}
+        shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape
+        for leaf in self.leaves.values():
+            source = np.broadcast_to(leaf.source, self.shape)[rows][:, columns]
+            moved = _leaf(self.builder, leaf.kind, source)
+            leaves[moved.symbol.name()] = moved
+            old.append(leaf.symbol)
+            new.append(moved.symbol)
+        formula = self.formula
+        if old:
+            formula = ca.substitute(formula, ca.vertcat(*old), ca.vertcat(*new))
+        return Expression(self.builder, formula, leaves, shape)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if ufunc in _COMPARISONS and isinstance(inputs[1], Expression):
+            return _COMPARISONS[ufunc](inputs[1], inputs[0])
+        operation = _UFUNCS.get(ufunc)
+        if method != "__call__" or operation is None or kwargs:
+            return NotImplemented
+        if any(isinstance(i, Sum) for i in inputs):
+            return NotImplemented
+        return self._combine(operation, *inputs)
+
+    def _combine(self, operation: Callable[..., Any], *inputs: Any) -> Expression:
+        operands = [self.builder.expression(i) for i in inputs]
+        if any(operand.builder is not self.builder for operand in operands):
+            raise ProgramError("an expression combines quantities of two different programs")
+        try:
+            shape = np.broadcast_shapes(*(o.shape for o in operands))
+        except ValueError:
+            shapes = " and ".join(str(o.shape) for o in operands)
+            raise ProgramError(f"expressions of shapes {shapes} (items, stages) do not combine") from None
+        leaves: dict[str, Leaf] = {}
+        for operand in operands:
+            leaves.update(operand.leaves)
+        formula = operation(*(o.formula for o in operands))
+        return Expression(self.builder, formula, leaves, (shape[0], shape[1]))
+
+    def __add__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, Sum) else np.add(self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return np.add(other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, Sum) else np.subtract(self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return np.subtract(other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return np.multiply(self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return np.multiply(other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return np.true_divide(self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return np.true_divide(other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        return np.power(self, other)
+
+    def __neg__(self) -> Any:
+        return np.negative(self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __le__(self, other: Any) -> Constraint:
+        return Constraint(self - other, -np.inf, 0.0)
+
+    def __ge__(self, other: Any) -> Constraint:
+        return Constraint(self - other, 0.0, np.inf)
+
+    def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
+        return Constraint(self - other, 0.0, 0.0)
+
+
+class Sum:
+    """A sum of expressions over their items: one value per stage. Made by :func:`total`.
+
+    Sums can be added, subtracted, multiplied by numbers and compared; they cannot enter a
+    nonlinear function, because a program adds up only the results of templates.
+    """
+
+    __slots__ = ("terms",)
+    __hash__ = None  # type: ignore[assignment]
+    __array_ufunc__ = None  # numpy defers to the reflected operators
+
+    def __init__(self, terms: tuple[Expression, ...]) -> None:
+        self.terms = terms
+
+    def __repr__(self) -> str:
+        return f"Sum of {len(self.terms)} terms"
+
+    @property
+    def stages(self) -> int:
+        """Number of stages."""
+        return max(term.stages for term in self.terms)
+
+    def _other(self, other: Any) -> tuple[Expression, ...]:
+        if isinstance(other, Sum):
+            return other.terms
+        builder = self.terms[0].builder
+        values = other
+        if not isinstance(other, Expression):
+            array = np.asarray(other, dtype=float)
+            values = array.reshape(1, -1) if array.ndim < 2 else array
+        expression = builder.expression(values)
+        if expression.items != 1:
+            raise ProgramError(
+                f"a sum has one value per stage; it does not combine with {expression.items} items"
+            )
+        return (expression,)
+
+    def __add__(self, other: Any) -> Sum:
+        return Sum(self.terms + self._other(other))
+
+    def __radd__(self, other: Any) -> Sum:
+        return self + other
+
+    def __neg__(self) -> Sum:
+        return Sum(tuple(-term for term in self.terms))
+
+    def __sub__(self, other: Any) -> Sum:
+        return Sum(self.terms + tuple(-term for term in self._other(other)))
+
+    def __rsub__(self, other: Any) -> Sum:
+        return -self + other
+
+    def __mul__(self, other: Any) -> Sum:
+        if isinstance(other, Sum | Expression):
+            raise ProgramError("a sum can be multiplied by numbers only")
+        factor = np.asarray(other, dtype=float)
+        factor = factor.reshape(1, -1) if factor.ndim < 2 else factor
+        return Sum(tuple(term * factor for term in self.terms))
+
+    def __rmul__(self, other: Any) -> Sum:
+        return self * other
+
+    def __truediv__(self, other: Any) -> Sum:
+        return self * (1.0 / np.asarray(other, dtype=float))
+
+    def __pow__(self, other: Any) -> Sum:
+        raise ProgramError(
+            "a sum cannot be raised to a power; square its terms, or state the sum as a variable"
+        )
+
+    def __le__(self, other: Any) -> Constraint:
+        return Constraint(self - other, -np.inf, 0.0)
+
+    def __ge__(self, other: Any) -> Constraint:
+        return Constraint(self - other, 0.0, np.inf)
+
+    def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
+        return Constraint(self - other, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """``lower <= body <= upper``. Made by comparing expressions or sums."""
+
+    body: Expression | Sum
+    lower: float
+    upper: float
+
+    def __bool__(self) -> bool:
+        raise ProgramError("a constraint has no truth value; write each comparison on its own")
+
+
+@overload
+def total(values: Expression) -> Sum: ...
+@overload
+def total(values: npt.NDArray[Any]) -> Array: ...
+def total(values: Any) -> Any:
+    """Sum over items: ``out[k] = sum_i values[i, k]``.
+
+    Parameters
+    ----------
+    values
+        Expression or array of shape ``(items, stages)``.
+
+    Returns
+    -------
+    Sum or ndarray
+        One value per stage.
+    """
+    if isinstance(values, Expression):
+        return Sum((values,))
+    array = np.asarray(values, dtype=float)
+    return array.sum(axis=0)
+
+
+def largest(*values: Any) -> Any:
+    """Entrywise maximum of expressions or arrays: ``max(0, x)``, ``|x| = max(x, -x)``.
+
+    For a program the maximum is a new variable that lies above each argument, which is exact
+    where the result is minimised or bounded from above; anything else would not be convex.
+    """
+    builder = _builder(values)
+    if builder is None:
+        return np.maximum.reduce(np.broadcast_arrays(*values))
+    return builder.epigraph([builder.expression(v) for v in values])
+
+
+def largest_by(owner: npt.NDArray[np.intp], pieces: Any, items: int) -> Any:
+    """Maximum over groups of rows: ``out[j] = max of pieces[i] over i with owner[i] = j``.
+
+    Parameters
+    ----------
+    owner
+        For each row of ``pieces`` the item, from 0 to ``items - 1``, that it belongs to.
+    pieces
+        Expression or array of shape ``(len(owner), stages)``.
+    items
+        Number of rows of the result; each must own at least one piece.
+    """
+    if isinstance(pieces, Expression):
+        return pieces.builder.epigraph([pieces], owner=owner, items=items)
+    array = np.asarray(pieces, dtype=float)
+    out = np.full((items, *array.shape[1:]), -np.inf)
+    np.maximum.at(out, owner, array)
+    return out
+
+
+def _builder(values: Sequence[Any]) -> ProgramBuilder | None:
+    for value in values:
+        if isinstance(value, Expression):
+            return value.builder
+    return None
+
+
+def constant(builder: ProgramBuilder, values: Any) -> Expression:
+    """Numbers as an expression; a single value becomes part of the formula."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim > 2 or np.isnan(array).any():
+        raise ProgramError(f"an array of shape {array.shape} or with NaN cannot enter an expression")
+    shape = (1, 1) if array.ndim == 0 else (array.shape[0], array.shape[1])
+    if array.size and (array == array.flat[0]).all():
+        return Expression(builder, ca.SX(float(array.flat[0])), {}, shape)
+    leaf = _leaf(builder, "constant", array)
+    return Expression(builder, leaf.symbol, {leaf.symbol.name(): leaf}, shape)
+
+
+def reference(builder: ProgramBuilder, kind: LeafKind, index: Index) -> Expression:
+    """The entries of the variables or parameters at ``index``, shape ``(items, stages)``."""
+    leaf = _leaf(builder, kind, index)
+    return Expression(builder, leaf.symbol, {leaf.symbol.name(): leaf}, (index.shape[0], index.shape[1]))
+
+
+def _leaf(builder: ProgramBuilder, kind: LeafKind, source: Index | Array) -> Leaf:
+    """A leaf whose symbol is the same object whenever the source is the same, so that x - x is 0."""
+    source = np.ascontiguousarray(source)
+    digest = hashlib.blake2b(source.tobytes(), digest_size=8).hexdigest()
+    name = f"{kind}_{source.shape[0]}_{source.shape[1]}_{digest}"
+    if name not in builder.symbols:
+        builder.symbols[name] = ca.SX.sym(name)
+    return Leaf(kind, builder.symbols[name], source)

@@ -1,0 +1,311 @@
+"""The solver-neutral form of an optimisation problem.
+
+A :class:`Program` is frozen data. It states::
+
+    minimise    sum of cost templates over (x, p)
+    subject to  row_lower  <=  rows(x, p)  <=  row_upper
+                lower      <=      x       <=  upper
+                s(x, p) = (t, u)  with  ||u||_2 <= t    for every cone
+
+where ``x`` and ``p`` are cut into named blocks of shape ``(items, stages)``. An
+:class:`Instance` holds the numbers of one solve, so that the next problem of a receding
+horizon is a new instance of the same program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from solvers.errors import ProgramError
+from solvers.template import Template
+
+__all__ = ["Array", "Block", "Cone", "Index", "Instance", "Output", "Placement", "Program"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Numbers = Mapping[str, "npt.ArrayLike"]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A named, contiguous part of a vector, with ``items`` rows and ``stages`` columns.
+
+    Attributes
+    ----------
+    lower, upper
+        Bounds of shape ``(items, stages)``; infinite for parameters.
+    value
+        Starting point of a variable, default of a parameter; zero for rows.
+    fixed
+        Only for parameters: the value is data of the program and no instance may change it.
+    """
+
+    name: str
+    items: int
+    stages: int
+    offset: int
+    lower: Array
+    upper: Array
+    value: Array
+    fixed: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return self.items * self.stages
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """``(items, stages)``."""
+        return self.items, self.stages
+
+    @property
+    def slice(self) -> slice:
+        """Where the block lies in its vector."""
+        return slice(self.offset, self.offset + self.size)
+
+    @cached_property
+    def index(self) -> Index:
+        """Position of each entry in its vector; the entries of one stage are neighbours."""
+        return self.offset + np.arange(self.size, dtype=np.intp).reshape(self.shape, order="F")
+
+    def read(self, vector: Array) -> Array:
+        """The block's part of ``vector`` as an array of shape ``(items, stages)``."""
+        return vector[self.slice].reshape(self.shape, order="F")
+
+    def spread(self, values: npt.ArrayLike) -> Array:
+        """Broadcast ``values`` to ``(items, stages)``; a vector of length ``items`` is one value per item."""
+        array = np.asarray(values, dtype=float)
+        if array.shape == (self.items,):
+            array = array[:, None]
+        try:
+            array = np.broadcast_to(array, self.shape)
+        except ValueError:
+            raise ProgramError(
+                f"block {self.name!r} takes values of shape {self.shape} (items, stages), "
+                f"not {array.shape}"
+            ) from None
+        if np.isnan(array).any():
+            item, stage = (int(i) for i in np.argwhere(np.isnan(array))[0])
+            raise ProgramError(f"block {self.name!r}: item {item}, stage {stage} is not a number")
+        return array
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """A named block of second-order cones: ``shape[0] * shape[1]`` cones of one dimension.
+
+    Each cone's values ``(t, u_1, ..., u_d)`` must satisfy ``||u||_2 <= t``.
+    """
+
+    name: str
+    dimension: int
+    items: int
+    stages: int
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Number of scalar values over all cones of the block."""
+        return self.dimension * self.items * self.stages
+
+    @property
+    def slice(self) -> slice:
+        """Where the block lies in the vector of cone values."""
+        return slice(self.offset, self.offset + self.size)
+
+    @cached_property
+    def index(self) -> Index:
+        """Positions of shape ``(dimension, items * stages)`` in the vector of cone values."""
+        return self.offset + np.arange(self.size, dtype=np.intp).reshape(self.dimension, -1, order="F")
+
+    def read(self, vector: Array) -> Array:
+        """The block's part as an array of shape ``(dimension, items, stages)``."""
+        return vector[self.slice].reshape(self.dimension, self.items, self.stages, order="F")
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """One template, placed ``M`` times.
+
+    Attributes
+    ----------
+    variables, parameters
+        Positions in ``x`` and ``p``, of shapes ``(n_variables, M)`` and ``(n_parameters, M)``.
+    into
+        Positions that the outputs are added to, shape ``(n_outputs, M)``; -1 discards an output.
+    block
+        Name of the block it belongs to, for messages.
+    """
+
+    template: Template
+    variables: Index
+    parameters: Index
+    into: Index
+    block: str
+
+    @property
+    def count(self) -> int:
+        """Number of places M."""
+        return int(self.into.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """A named quantity of shape ``(items, stages)`` that is computed from a solution."""
+
+    name: str
+    items: int
+    stages: int
+    placement: Placement
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """The numbers of one solve. Made by :meth:`Program.instance`."""
+
+    parameters: Array
+    lower: Array
+    upper: Array
+    row_lower: Array
+    row_upper: Array
+    start: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """An optimisation problem over named blocks. Made by :class:`solvers.ProgramBuilder`."""
+
+    name: str
+    variables: Mapping[str, Block]
+    parameters: Mapping[str, Block]
+    rows: Mapping[str, Block]
+    cones: Mapping[str, Cone]
+    constraints: tuple[Placement, ...]
+    costs: tuple[Placement, ...]
+    cone_values: tuple[Placement, ...]
+    outputs: Mapping[str, Output] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return (
+            f"Program({self.name!r}: {self.n_variables} variables, {self.n_rows} rows, "
+            f"{sum(c.items * c.stages for c in self.cones.values())} cones)"
+        )
+
+    @property
+    def n_variables(self) -> int:
+        """Length of ``x``."""
+        return sum(b.size for b in self.variables.values())
+
+    @property
+    def n_parameters(self) -> int:
+        """Length of ``p``."""
+        return sum(b.size for b in self.parameters.values())
+
+    @property
+    def n_rows(self) -> int:
+        """Number of scalar rows."""
+        return sum(b.size for b in self.rows.values())
+
+    @property
+    def n_cone_values(self) -> int:
+        """Number of scalar values over all cones."""
+        return sum(c.size for c in self.cones.values())
+
+    @cached_property
+    def fixed_parameters(self) -> npt.NDArray[np.bool_]:
+        """Which entries of ``p`` are data that no instance may change."""
+        return _concatenate([np.full(b.size, b.fixed) for b in self.parameters.values()], bool)
+
+    @cached_property
+    def default(self) -> Instance:
+        """The instance with every block's own bounds, defaults and starting point."""
+        return Instance(
+            parameters=_join(self.parameters.values(), "value"),
+            lower=_join(self.variables.values(), "lower"),
+            upper=_join(self.variables.values(), "upper"),
+            row_lower=_join(self.rows.values(), "lower"),
+            row_upper=_join(self.rows.values(), "upper"),
+            start=_join(self.variables.values(), "value"),
+        )
+
+    def instance(
+        self,
+        parameters: Numbers | None = None,
+        lower: Numbers | None = None,
+        upper: Numbers | None = None,
+        start: Numbers | None = None,
+    ) -> Instance:
+        """Numbers for one solve: the defaults, overridden block by block.
+
+        Parameters
+        ----------
+        parameters
+            Values by parameter block, each broadcastable to ``(items, stages)``.
+        lower, upper
+            Bounds by variable block or row block.
+        start
+            Starting point by variable block.
+
+        Raises
+        ------
+        ProgramError
+            Unknown block, wrong shape, NaN, or a lower bound above the upper one.
+        """
+        new = {
+            key: getattr(self.default, key).copy()
+            for key in ("parameters", "lower", "upper", "row_lower", "row_upper", "start")
+        }
+        for name, values in (parameters or {}).items():
+            block = self._block(name, self.parameters, "parameter")
+            if block.fixed:
+                raise ProgramError(f"parameter {name!r} is part of the program's data; it cannot change")
+            new["parameters"][block.slice] = block.spread(values).ravel(order="F")
+        for side, overrides in (("lower", lower), ("upper", upper)):
+            for name, values in (overrides or {}).items():
+                block = self._block(name, {**self.variables, **self.rows}, "variable or row")
+                key = side if name in self.variables else f"row_{side}"
+                new[key][block.slice] = block.spread(values).ravel(order="F")
+        for name, values in (start or {}).items():
+            block = self._block(name, self.variables, "variable")
+            new["start"][block.slice] = block.spread(values).ravel(order="F")
+        instance = Instance(**new)
+        _check_order(self.variables.values(), instance.lower, instance.upper)
+        _check_order(self.rows.values(), instance.row_lower, instance.row_upper)
+        return instance
+
+    @staticmethod
+    def _block(name: str, blocks: Mapping[str, Block], kind: str) -> Block:
+        try:
+            return blocks[name]
+        except KeyError:
+            known = ", ".join(sorted(blocks)) or "none"
+            raise ProgramError(f"no {kind} block is named {name!r}; there are: {known}") from None
+
+
+def _check_order(blocks: Iterable[Block], lower: Array, upper: Array) -> None:
+    if (lower <= upper).all():
+        return
+    for block in blocks:
+        low, high = block.read(lower), block.read(upper)
+        crossed = np.argwhere(low > high)
+        if crossed.size:
+            item, stage = (int(i) for i in crossed[0])
+            raise ProgramError(
+                f"block {block.name!r}, item {item}, stage {stage}: the lower bound "
+                f"{low[item, stage]:g} is above the upper bound {high[item, stage]:g}"
+            )
+
+
+def _join(blocks: Iterable[Block], attribute: str) -> Array:
+    parts = [getattr(b, attribute).ravel(order="F") for b in blocks]
+    return np.asarray(_concatenate(parts, float), dtype=np.float64)
+
+
+def _concatenate(parts: list[npt.NDArray[np.generic]], dtype: type) -> npt.NDArray[np.generic]:
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)

@@ -1,0 +1,187 @@
+"""What a back end returned, certified against the program that it was asked to solve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from solvers.assembly import Evaluator
+from solvers.errors import ProgramError
+from solvers.program import Array, Block, Cone, Instance, Program
+from solvers.status import SolutionStatus, TerminationCondition
+
+__all__ = ["Solution", "Start"]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A point to start from: primal values and, where known, multipliers."""
+
+    x: Array
+    lam_x: Array | None = None
+    lam_g: Array | None = None
+    z: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Primal and dual values, why the back end stopped and what the values hold.
+
+    The multipliers belong to the Lagrangian ``f + lam_g' g + lam_x' x - z' s``: those of an
+    active upper bound are positive, those of an active lower bound negative, and ``z`` lies in
+    the dual cone. The residuals are recomputed from the program, not taken from the back end.
+
+    Attributes
+    ----------
+    termination, status, message
+        Why it stopped, what the values hold, and the back end's own words.
+    iterations, seconds
+        Effort of the back end; ``seconds`` is wall-clock time of the solve alone.
+    """
+
+    program: Program
+    evaluator: Evaluator
+    instance: Instance
+    x: Array
+    lam_x: Array
+    lam_g: Array
+    z: Array
+    termination: TerminationCondition
+    status: SolutionStatus
+    message: str
+    solver: str
+    iterations: int
+    seconds: float
+
+    @cached_property
+    def objective(self) -> float:
+        """Value of the objective at ``x``."""
+        return self.evaluator.objective(self.x, self.instance.parameters)
+
+    # Values by name ----------------------------------------------------------------------
+
+    def value(self, name: str) -> Array:
+        """Values of a variable block or an output, shape ``(items, stages)``."""
+        if name in self.program.outputs:
+            return self._outputs[name]
+        return self._block(name, self.program.variables).read(self.x)
+
+    def dual(self, name: str) -> Array:
+        """Multipliers of a row block, shape ``(items, stages)``."""
+        return self._block(name, self.program.rows).read(self.lam_g)
+
+    def bound_dual(self, name: str) -> Array:
+        """Multipliers of a variable block's bounds, shape ``(items, stages)``."""
+        return self._block(name, self.program.variables).read(self.lam_x)
+
+    def cone_dual(self, name: str) -> Array:
+        """Multipliers of a cone block, shape ``(dimension, items, stages)``."""
+        if name not in self.program.cones:
+            raise ProgramError(f"no cone block is named {name!r}")
+        return self.program.cones[name].read(self.z)
+
+    @cached_property
+    def _outputs(self) -> dict[str, Array]:
+        return self.evaluator.outputs(self.x, self.instance.parameters)
+
+    @staticmethod
+    def _block(name: str, blocks: Mapping[str, Block]) -> Block:
+        if name not in blocks:
+            raise ProgramError(f"no block is named {name!r}; there are: {', '.join(sorted(blocks))}")
+        return blocks[name]
+
+    # Certificate -------------------------------------------------------------------------
+
+    @cached_property
+    def rows(self) -> Array:
+        """Values of all rows at ``x``."""
+        return self.evaluator.rows(self.x, self.instance.parameters)
+
+    @cached_property
+    def cones(self) -> Array:
+        """Values of all cones at ``x``."""
+        return self.evaluator.cones(self.x, self.instance.parameters)[0]
+
+    @cached_property
+    def primal_residual(self) -> float:
+        """Largest violation of a bound, row or cone."""
+        at = self.instance
+        violations = [at.lower - self.x, self.x - at.upper, at.row_lower - self.rows, self.rows - at.row_upper]
+        for cone in self.program.cones.values():
+            values = cone.read(self.cones)
+            violations.append(np.linalg.norm(values[1:], axis=0) - values[0])
+        return _largest(violations)
+
+    @cached_property
+    def dual_residual(self) -> float:
+        """Largest entry of the gradient of the Lagrangian, or largest multiplier of a missing bound."""
+        at = self.instance
+        slope = self.evaluator.gradient(self.x, at.parameters) + self.lam_x
+        if self.lam_g.size:
+            slope = slope + self.evaluator.jacobian(self.x, at.parameters).T @ self.lam_g
+        if self.z.size:
+            slope = slope - self.evaluator.cones(self.x, at.parameters)[1].T @ self.z
+        violations = [np.abs(slope)]
+        for multiplier, lower, upper in self._sides():
+            violations.append(np.where(np.isinf(upper), multiplier, 0.0))
+            violations.append(np.where(np.isinf(lower), -multiplier, 0.0))
+        for cone in self.program.cones.values():
+            z = cone.read(self.z)
+            violations.append(np.linalg.norm(z[1:], axis=0) - z[0])
+        return _largest(violations)
+
+    @cached_property
+    def gap(self) -> float:
+        """Sum of all products of a multiplier and the slack it belongs to.
+
+        For a convex program this is the difference of primal and dual objective.
+        """
+        gap = 0.0
+        for (multiplier, lower, upper), value in zip(self._sides(), (self.x, self.rows), strict=True):
+            to_upper = np.where(np.isinf(upper), 0.0, upper - value)
+            to_lower = np.where(np.isinf(lower), 0.0, value - lower)
+            gap += float(np.abs(np.maximum(multiplier, 0.0) * to_upper).sum())
+            gap += float(np.abs(np.maximum(-multiplier, 0.0) * to_lower).sum())
+        for cone in self.program.cones.values():
+            products = (cone.read(self.z) * cone.read(self.cones)).sum(axis=0)
+            gap += float(np.abs(products).sum())
+        return gap
+
+    def _sides(self) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
+        at = self.instance
+        return (self.lam_x, at.lower, at.upper), (self.lam_g, at.row_lower, at.row_upper)
+
+    # Starting the next solve -------------------------------------------------------------
+
+    def start(self) -> Start:
+        """This point, to start the same problem again."""
+        return Start(self.x, self.lam_x, self.lam_g, self.z)
+
+    def shifted(self, stages: int = 1) -> Start:
+        """This point moved ahead: every block drops its first stages and repeats its last.
+
+        Blocks of a single stage stay as they are.
+        """
+
+        def shift(vector: Array, blocks: Iterable[Block | Cone]) -> Array:
+            moved = vector.copy()
+            for block in blocks:
+                last = block.stages - 1
+                stage = np.minimum(np.arange(block.stages) + stages, last)
+                moved[block.slice] = block.read(vector)[..., stage].ravel(order="F")
+            return moved
+
+        variables = self.program.variables.values()
+        return Start(
+            shift(self.x, variables),
+            shift(self.lam_x, variables),
+            shift(self.lam_g, self.program.rows.values()),
+            shift(self.z, self.program.cones.values()),
+        )
+
+
+def _largest(violations: list[Array]) -> float:
+    return max([0.0, *(float(v.max()) for v in violations if v.size)])

@@ -1,0 +1,182 @@
+"""Choosing a back end by name or by what the program needs, and solving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Protocol
+
+from solvers.errors import UnknownSolverError, UnsupportedProgramError
+from solvers.program import Instance, Program
+from solvers.solution import Solution, Start
+from solvers.structure import Kind, classify
+
+__all__ = ["BackEnd", "Session", "back_ends", "broken_back_ends", "choose", "find", "prepare", "solve"]
+
+GROUP = "solvers.backends"
+Options = Mapping[str, Any]
+
+
+class Session(Protocol):
+    """A program made ready by a back end, to be solved any number of times."""
+
+    def solve(self, instance: Instance, start: Start | None = None) -> Solution:
+        """Solve for the numbers of ``instance``, from ``start`` if the back end can use it."""
+        ...
+
+
+class BackEnd(Protocol):
+    """What a back end provides: one class in one file, found through an entry point.
+
+    Attributes
+    ----------
+    name
+        Name of the back end.
+    accepts
+        The most general kind of program that it solves.
+    """
+
+    name: str
+    accepts: Kind
+
+    def solvers(self) -> list[str]:
+        """Names of the installed solvers it can call, the default first."""
+        ...
+
+    def prepare(self, program: Program, solver: str, options: Options, verbose: bool) -> Session:
+        """Make ``program`` ready for repeated solves."""
+        ...
+
+
+@cache
+def back_ends() -> dict[str, BackEnd]:
+    """All back ends that can be loaded, by name, simplest problem class first.
+
+    A third party's back end that fails to load is left out; :func:`broken_back_ends` names it.
+    """
+    loaded = {name: end for name, end in _load().items() if not isinstance(end, Exception)}
+    return dict(sorted(loaded.items(), key=lambda pair: (pair[1].accepts, pair[0])))
+
+
+def broken_back_ends() -> dict[str, Exception]:
+    """Back ends that could not be loaded, and why."""
+    return {name: end for name, end in _load().items() if isinstance(end, Exception)}
+
+
+@cache
+def _load() -> dict[str, BackEnd | Exception]:
+    found: dict[str, BackEnd | Exception] = {}
+    for point in entry_points(group=GROUP):
+        found[point.name] = _load_one(point)
+    return found
+
+
+def _load_one(point: EntryPoint) -> BackEnd | Exception:
+    try:
+        end: BackEnd = point.load()()
+    except Exception as error:  # whatever a third party's module raises is reported, by name
+        return error
+    return end
+
+
+def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
+    """The back end and solver meant by ``name`` for a program of this kind.
+
+    Parameters
+    ----------
+    name
+        ``"auto"``, a back end (``"ipopt"``, ``"qp"``, ``"conic"``), a solver that one of them
+        calls (``"osqp"``), or both (``"qp:clarabel"``).
+    kind
+        Kind of the program, which decides between back ends that call a solver of the same name.
+
+    Raises
+    ------
+    UnknownSolverError
+        If no back end or solver has this name, or it is not installed.
+    """
+    ends = back_ends()
+    prefix, _, rest = name.partition(":")
+    if prefix in ends and rest:
+        if rest in ends[prefix].solvers():
+            return ends[prefix], rest
+    elif name in ends:
+        names = ends[name].solvers()
+        if names:
+            return ends[name], names[0]
+    else:
+        offering = [end for end in ends.values() if name in end.solvers()]
+        accepting = [end for end in offering if end.accepts >= kind]
+        for end in accepting or offering:
+            return end, name
+    raise UnknownSolverError(f"there is no solver {name!r} here; {_inventory(ends)}")
+
+
+def _inventory(ends: Mapping[str, BackEnd]) -> str:
+    parts = [f"{end.name} ({', '.join(end.solvers()) or 'nothing installed'})" for end in ends.values()]
+    text = f"installed are: {'; '.join(parts) or 'none'}"
+    broken = broken_back_ends()
+    if broken:
+        text += "; could not be loaded: " + ", ".join(f"{n} ({e})" for n, e in broken.items())
+    return text
+
+
+def prepare(
+    program: Program,
+    solver: str = "auto",
+    options: Options | None = None,
+    verbose: bool = False,
+) -> Session:
+    """Make a program ready for repeated solves by one back end.
+
+    Parameters
+    ----------
+    solver
+        See :func:`find`; ``"auto"`` chooses by structure.
+    options
+        Passed to the solver as they are; they win over this package's defaults.
+    verbose
+        Whether the solver prints its iterations.
+
+    Raises
+    ------
+    UnknownSolverError
+        No such solver.
+    UnsupportedProgramError
+        The back end cannot represent the program; the message names the blocks.
+    """
+    structure = classify(program)
+    name = choose(structure.kind) if solver == "auto" else solver
+    end, solver_name = find(name, structure.kind)
+    if structure.kind > end.accepts:
+        able = [e.name for e in back_ends().values() if e.accepts >= structure.kind]
+        raise UnsupportedProgramError(
+            f"{name!r} solves at most a {end.accepts}, but {_blocks(structure.culprits)} of "
+            f"{program.name!r} make it a {structure.kind}; "
+            f"back ends that accept it: {', '.join(able) or 'none'}"
+        )
+    return end.prepare(program, solver_name, dict(options or {}), verbose)
+
+
+def choose(kind: Kind) -> str:
+    """The back end that ``"auto"`` stands for."""
+    return "ipopt"
+
+
+def _blocks(names: tuple[str, ...]) -> str:
+    shown = ", ".join(repr(n) for n in names[:3])
+    return f"blocks {shown}" + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def solve(
+    program: Program,
+    solver: str = "auto",
+    instance: Instance | None = None,
+    start: Start | None = None,
+    options: Options | None = None,
+    verbose: bool = False,
+) -> Solution:
+    """Solve a program once. For a sequence of instances keep the session of :func:`prepare`."""
+    session = prepare(program, solver, options, verbose)
+    return session.solve(program.default if instance is None else instance, start)

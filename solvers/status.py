@@ -1,0 +1,41 @@
+"""Why a solver stopped, and what its result is worth: two separate answers."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["SolutionStatus", "TerminationCondition"]
+
+
+class TerminationCondition(StrEnum):
+    """Why the back end stopped, as it reported it."""
+
+    CONVERGED = "converged"
+    ACCEPTABLE = "acceptable"
+    INFEASIBLE = "infeasible"
+    UNBOUNDED = "unbounded"
+    ITERATION_LIMIT = "iteration limit"
+    TIME_LIMIT = "time limit"
+    INTERRUPTED = "interrupted"
+    NUMERICAL_FAILURE = "numerical failure"
+    INVALID_PROGRAM = "invalid program"
+    ERROR = "error"
+
+
+class SolutionStatus(StrEnum):
+    """What the returned numbers hold.
+
+    ``LOCALLY_INFEASIBLE`` says that a local method found a stationary point of the
+    infeasibility; ``PROVEN_INFEASIBLE`` says that a certificate excludes every point.
+    """
+
+    GLOBALLY_OPTIMAL = "globally optimal"
+    LOCALLY_OPTIMAL = "locally optimal"
+    LOCALLY_INFEASIBLE = "locally infeasible"
+    PROVEN_INFEASIBLE = "proven infeasible"
+    NONE = "none"
+
+    @property
+    def is_optimal(self) -> bool:
+        """Whether the point is an optimum of some kind."""
+        return self in (SolutionStatus.GLOBALLY_OPTIMAL, SolutionStatus.LOCALLY_OPTIMAL)

@@ -1,0 +1,174 @@
+"""Templates: small symbolic functions that a program places many times."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from solvers.errors import ProgramError
+
+__all__ = ["Degree", "Template"]
+
+
+class Degree(IntEnum):
+    """Degree of a function in its variables, as far as it can be read off its derivatives."""
+
+    CONSTANT = 0
+    LINEAR = 1
+    QUADRATIC = 2
+    NONLINEAR = 3
+
+
+class Template:
+    """A vector function of a few local variables and a few local parameters.
+
+    Everything a back end needs, values and first and second derivatives, is derived here
+    once, on a handful of symbols, and then mapped over all the places where the template is used.
+
+    Parameters
+    ----------
+    name
+        What the template computes; it appears in error messages.
+    variables, parameters
+        Column vectors of CasADi ``SX`` symbols: what the outputs depend on.
+    outputs
+        Column vector of ``SX`` expressions in those symbols.
+
+    Raises
+    ------
+    ProgramError
+        If the outputs use a symbol that is neither a variable nor a parameter.
+    """
+
+    def __init__(self, name: str, variables: Any, parameters: Any, outputs: Any) -> None:
+        self.name = name
+        self.variables = ca.SX(variables)
+        self.parameters = ca.SX(parameters)
+        self.outputs = ca.densify(ca.SX(outputs))
+        known = ca.vertcat(self.variables, self.parameters)
+        stray = [
+            str(s)
+            for s in ca.symvar(self.outputs)
+            if known.is_empty() or not ca.depends_on(known, s)
+        ]
+        if stray:
+            raise ProgramError(
+                f"template {name!r} uses {', '.join(stray)}, "
+                "which are neither its variables nor its parameters"
+            )
+
+    def __repr__(self) -> str:
+        shape = f"{self.n_variables} variables, {self.n_parameters} parameters"
+        return f"Template({self.name!r}: {shape} -> {self.n_outputs} outputs)"
+
+    @property
+    def n_variables(self) -> int:
+        """Number of local variables."""
+        return int(self.variables.numel())
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of local parameters."""
+        return int(self.parameters.numel())
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return int(self.outputs.numel())
+
+    @cached_property
+    def value(self) -> Any:
+        """CasADi function ``(variables, parameters) -> outputs``."""
+        return ca.Function(f"{_slug(self.name)}_value", [self.variables, self.parameters], [self.outputs])
+
+    @cached_property
+    def _jacobian(self) -> Any:
+        return ca.jacobian(self.outputs, self.variables)
+
+    @cached_property
+    def jacobian_pattern(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Output and variable index of each structural nonzero of the Jacobian."""
+        rows, columns = self._jacobian.sparsity().get_triplet()
+        return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+
+    @cached_property
+    def jacobian(self) -> Any:
+        """CasADi function ``(variables, parameters) -> nonzeros of the Jacobian``."""
+        nonzeros = ca.vertcat(*self._jacobian.nonzeros())
+        return ca.Function(
+            f"{_slug(self.name)}_jacobian", [self.variables, self.parameters], [ca.densify(nonzeros)]
+        )
+
+    @cached_property
+    def _weights(self) -> Any:
+        return ca.SX.sym("weight", self.n_outputs)
+
+    @cached_property
+    def _hessian(self) -> Any:
+        curved = [i for i, degree in enumerate(self.degrees) if degree >= Degree.QUADRATIC]
+        lagrangian = ca.SX(0)
+        for i in curved:
+            lagrangian += self._weights[i] * self.outputs[i]
+        hessian, _ = ca.hessian(lagrangian, self.variables)
+        return ca.tril(hessian)
+
+    @cached_property
+    def hessian_pattern(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Row and column (row >= column) of each nonzero of the weighted Hessian's lower triangle."""
+        rows, columns = self._hessian.sparsity().get_triplet()
+        return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+
+    @cached_property
+    def hessian(self) -> Any:
+        """CasADi function ``(variables, parameters, weights) -> nonzeros of sum_i w_i hess(output_i)``."""
+        nonzeros = ca.vertcat(*self._hessian.nonzeros())
+        return ca.Function(
+            f"{_slug(self.name)}_hessian",
+            [self.variables, self.parameters, self._weights],
+            [ca.densify(nonzeros)],
+        )
+
+    @cached_property
+    def degrees(self) -> tuple[Degree, ...]:
+        """Degree of each output in the local variables."""
+        return tuple(_degree(self._jacobian[i, :], self.variables) for i in range(self.n_outputs))
+
+    @cached_property
+    def degree(self) -> Degree:
+        """Largest degree among the outputs."""
+        return max(self.degrees, default=Degree.CONSTANT)
+
+    def derivative_parameters(self, order: int) -> npt.NDArray[np.bool_]:
+        """Which local parameters the first or second derivatives depend on.
+
+        Parameters
+        ----------
+        order
+            1 for the Jacobian, 2 for the Hessian.
+        """
+        expression = self._jacobian if order == 1 else self._hessian
+        used = [bool(ca.depends_on(expression, q)) for q in ca.vertsplit(self.parameters)]
+        return np.array(used[: self.n_parameters], dtype=bool)
+
+
+def _degree(gradient: Any, variables: Any) -> Degree:
+    """Degree of a scalar function, given the row of its first derivatives."""
+    if gradient.nnz() == 0:
+        return Degree.CONSTANT
+    if not ca.depends_on(gradient, variables):
+        return Degree.LINEAR
+    second = ca.jacobian(gradient.T, variables)
+    return Degree.NONLINEAR if ca.depends_on(second, variables) else Degree.QUADRATIC
+
+
+def _slug(name: str) -> str:
+    """A name that CasADi accepts for a function."""
+    slug = "".join(c if c.isalnum() else "_" for c in name).strip("_") or "template"
+    while "__" in slug:
+        slug = slug.replace("__", "_")
+    return slug if slug[0].isalpha() else f"t_{slug}"

@@ -1,0 +1,42 @@
+"""One thread for the linear algebra inside the bundled solvers.
+
+CasADi's wheel carries its own OpenBLAS, a generic build that is slower on two threads than on
+one for the small dense blocks of a sparse factorisation. The library reads its environment
+variable only when it is loaded, so the number is set through its own interface; a user who has
+set the variable keeps what he chose.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import cache
+from pathlib import Path
+
+__all__ = ["use_one_blas_thread"]
+
+_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS")
+
+
+@cache
+def use_one_blas_thread() -> bool:
+    """Set CasADi's bundled OpenBLAS to one thread, unless the environment says otherwise.
+
+    Returns
+    -------
+    bool
+        Whether a library was found and set.
+    """
+    if any(name in os.environ for name in _VARIABLES):
+        return False
+    import casadi
+
+    found = False
+    for path in sorted(Path(casadi.__file__).parent.glob("*openblas*")):
+        try:
+            library = ctypes.CDLL(str(path))
+            library.openblas_set_num_threads(1)
+        except (OSError, AttributeError):
+            continue  # not a loadable library, or one without this function
+        found = True
+    return found
