@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from opfmodel.objectives.base import Objective
     from opfmodel.objectives.economic import Economic
     from opfmodel.plan import End, MultiStage, Plan
-    from opfmodel.profiles import Profiles
+    from opfmodel.profiles.series import Profiles
     from solvers.expression import largest, total
 
 # Public names and where they live; imported at first use, so that "import opfmodel" stays light.
@@ -53,7 +53,7 @@ _HOMES = {
     "opfmodel.objectives.base": ("Objective",),
     "opfmodel.objectives.economic": ("Economic",),
     "opfmodel.plan": ("End", "MultiStage", "Plan"),
-    "opfmodel.profiles": ("Profiles",),
+    "opfmodel.profiles.series": ("Profiles",),
     "solvers.expression": ("largest", "total"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

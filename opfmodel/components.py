@@ -262,7 +262,13 @@ class Component:
                 raise ComponentError(name, item.name, value, "must be the name of a bus")
             elif form == "cost":
                 if not isinstance(value, Cost):
-                    raise ComponentError(name, item.name, value, "must be a Polynomial or PiecewiseLinear")
+                    raise ComponentError(
+                        name,
+                        item.name,
+                        value,
+                        "must be a Polynomial or PiecewiseLinear; in a file {c2: , c1: , c0: } in $/MW²h, "
+                        "$/MWh, $/h or {points: [[MW, $/h], ...]}",
+                    )
                 value.check(name, item.name)
 
     def resolved(self) -> Self:

@@ -9,12 +9,12 @@ __all__ = [
     "CaseError",
     "CaseWarning",
     "ComponentError",
-    "InfeasibleError",
     "ModelError",
     "NetworkError",
     "OpfmodelError",
     "PluginError",
     "ProfileError",
+    "ResultError",
     "ScenarioError",
     "nearest",
 ]
@@ -62,15 +62,25 @@ class ModelError(OpfmodelError):
 
 
 class PluginError(OpfmodelError):
-    """A plugin of that name does not exist or could not be loaded."""
+    """A plugin does not exist, could not be loaded, or was given options it does not take.
+
+    Attributes
+    ----------
+    option
+        The option at fault, if it is one.
+    """
+
+    def __init__(self, message: str, option: str | None = None) -> None:
+        super().__init__(message)
+        self.option = option
+
+
+class ResultError(OpfmodelError):
+    """Results cannot be written, or what is read is not one."""
 
 
 class ScenarioError(OpfmodelError):
     """A scenario file breaks its schema; the message names file, line and column."""
-
-
-class InfeasibleError(OpfmodelError):
-    """A problem has no solution where one is needed to go on."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

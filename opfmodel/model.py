@@ -416,7 +416,7 @@ class NumericStage:
     ) -> None:
         self.network = network
         self.step = step
-        self._values = dict(values)
+        self.values = dict(values)
         self._devices = list(devices)
 
     def __getattr__(self, kind: str) -> Quantities:
@@ -425,15 +425,15 @@ class NumericStage:
         table = self.network.tables[kind]
 
         def get(name: str) -> Any:
-            value = self._values.get((kind, name))
+            value = self.values.get((kind, name))
             return _field(table, name) if value is None else value
 
-        names = [n for k, n in self._values if k == kind]
+        names = [n for k, n in self.values if k == kind]
         return Quantities(kind, get, lambda: [*names, *table.arrays])
 
     def has(self, name: str) -> bool:
         """Whether there are values of a quantity."""
-        return any(n == name for _, n in self._values)
+        return any(n == name for _, n in self.values)
 
     @property
     def operating_cost(self) -> Any:

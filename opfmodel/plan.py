@@ -19,7 +19,7 @@ from opfmodel.model import Device, Model, NumericStage, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
-from opfmodel.profiles import Profiles
+from opfmodel.profiles.series import Profiles
 from opfmodel.units import scale
 from solvers import Instance, Program, Session, Solution, SolutionStatus, Start, prepare, total
 from solvers.expression import Constraint
@@ -167,6 +167,16 @@ class MultiStage:
             raise ModelError(f"two constraints are named {name!r}")
         self._constraints[name] = constraint
 
+    @cached_property
+    def devices(self) -> list[Device]:
+        """The devices of the network."""
+        return make_devices(self.arrays)
+
+    @property
+    def described(self) -> dict[str, tuple[str, str]]:
+        """Unit and description of each published quantity."""
+        return {name: (p.unit, p.description) for name, p in self._compiled[0].published.items()}
+
     # Compiling ---------------------------------------------------------------------------
 
     def compile(self) -> Program:
@@ -186,7 +196,7 @@ class MultiStage:
             series=self.profiles.fields(self.arrays),
         )
         self.formulation.declare(model)
-        model.devices = make_devices(self.arrays)
+        model.devices = self.devices
         for device in model.devices:
             device.declare(model, self.arrays.tables[device.component.kind])
         self._check_needs(model)
@@ -484,11 +494,14 @@ class Plan:
     @cached_property
     def stage(self) -> NumericStage:
         """The quantities of the plan as numbers in per unit, for metering costs."""
-        values = {
+        return NumericStage(self._network, self.problem.step, self.quantities(), self._model.devices)
+
+    def quantities(self) -> dict[tuple[str, str], Array]:
+        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``."""
+        return {
             (published.kind, name): self.solution.value(name)
             for name, published in self._model.published.items()
         }
-        return NumericStage(self._network, self.problem.step, values, self._model.devices)
 
     def next_state(self) -> dict[str, Array]:
         """The states after the first stage has been applied, in physical units."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
 
-__all__ = ["GROUPS", "Plugin", "load", "plugins"]
+__all__ = ["GROUPS", "Plugin", "load", "make", "plugins"]
 
 GROUPS = {
     "objective": "opfmodel.objectives",
     "formulation": "opfmodel.formulations",
     "device": "opfmodel.devices",
+    "profile": "opfmodel.profiles",
 }
 
 
@@ -73,3 +76,42 @@ def load(sort: str, name: str) -> Any:
     if name not in known:
         raise PluginError(f"there is no {sort} {name!r}; {nearest(name, known)}")
     return known[name].load()
+
+
+def make(sort: str, name: str, options: Mapping[str, Any]) -> Any:
+    """An object of a plugin's class from options as a file has them.
+
+    Parameters
+    ----------
+    options
+        Keyword arguments of the constructor, checked against its annotations.
+
+    Raises
+    ------
+    PluginError
+        An unknown plugin or option, a missing option, or a value of the wrong type; the attribute
+        ``option`` names the option.
+    """
+    from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+    cls = load(sort, name)
+    accepted = {
+        p.name: p
+        for p in inspect.signature(cls).parameters.values()
+        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
+    }
+    hints = get_type_hints(cls.__init__) if "__init__" in vars(cls) else {}
+    checked = {}
+    for key, value in options.items():
+        if key not in accepted:
+            raise PluginError(f"{sort} {name!r} has no option {key!r}; {nearest(key, accepted)}", key)
+        hint = hints.get(key, Any)
+        try:
+            checked[key] = TypeAdapter(hint, config=ConfigDict(strict=False)).validate_python(value)
+        except ValidationError as error:
+            reason = error.errors()[0]["msg"]
+            raise PluginError(f"{sort} {name!r}: {key} = {value!r}: {reason}", key) from None
+    missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
+    if missing:
+        raise PluginError(f"{sort} {name!r} needs the option {missing[0]!r}")
+    return cls(**checked)

@@ -1,20 +1,24 @@
-"""Trajectories as labelled arrays."""
+"""Trajectories as labelled arrays, in memory and on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.errors import ResultError
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["dataset"]
+__all__ = ["dataset", "load", "save"]
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +48,9 @@ def dataset(
     for kind in ("bus", *(kind for kind, _, _, _ in quantities.values())):
         if kind not in made.coords:
             made = made.assign_coords({kind: list(network.tables[kind].names)})
+        if kind in ("generator", "storage") and f"{kind}_bus" not in made:
+            at = [network.bus.names[b] for b in network.tables[kind].bus]
+            made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
         name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times)))
         for name, field, unit, sort in (("pd", "p", "MW", "active"), ("qd", "q", "MVAr", "reactive"))
@@ -59,3 +66,51 @@ def _demand(network: PerUnitNetwork, field: str, stages: int) -> Array:
     if values.ndim == 1:
         values = np.repeat(values[:, None], stages, axis=1)
     return network.at_buses("load", values)
+
+
+def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> None:
+    """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` into a folder, which is made if need be.
+
+    Each file is written under a temporary name and renamed, so that none is ever half there.
+
+    Raises
+    ------
+    ResultError
+        The folder cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _replace(folder / "trajectories.nc", lambda path: data.to_netcdf(path, engine="h5netcdf"))
+        text = json.dumps(summary, indent=2) + "\n"
+        _replace(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
+    except OSError as error:
+        raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
+
+
+def load(folder: str | Path) -> xr.Dataset:
+    """Read the trajectories of a saved run.
+
+    Raises
+    ------
+    ResultError
+        The folder holds no readable ``trajectories.nc``.
+    """
+    import xarray as xr
+
+    path = Path(folder)
+    path = path / "trajectories.nc" if path.is_dir() else path
+    if not path.exists():
+        raise ResultError(f"{path}: there is no such file; 'opfmodel run' writes it")
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise ResultError(f"{path}: not a result of opfmodel: {error}") from error
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        write(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,6 +64,11 @@ class Profiles:
     def merged(self, other: Profiles) -> Profiles:
         """These profiles, overridden by ``other``."""
         return Profiles({**self.series, **other.series})
+
+    def without(self, components: Iterable[str]) -> Profiles:
+        """These profiles without those of some components."""
+        left_out = set(components)
+        return Profiles({key: v for key, v in self.series.items() if key[0] not in left_out})
 
     def fields(self, network: PerUnitNetwork) -> set[tuple[str, str]]:
         """The ``(kind, field)`` pairs of which some component has a series."""

@@ -1,0 +1,347 @@
+"""The command line. Exit status: 0 done; 1 not solved, or a check does not hold; 2 bad input or usage."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from opfmodel.errors import OpfmodelError
+
+if TYPE_CHECKING:
+    from opfmodel.check import Report
+    from opfmodel.plan import MultiStage, Plan
+    from opfmodel.scenario import Scenario
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Declarative multi-stage AC optimal power flow with storage, in receding horizon.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+FILE = Annotated[Path, typer.Argument(help="A network file (MATPOWER .m, PSS/E .raw, ...) or a scenario (.yaml).")]
+SCENARIO = Annotated[Path, typer.Argument(help="A scenario file (.yaml).")]
+JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+VERBOSE = Annotated[bool, typer.Option("--verbose", "-v", help="Show the solver's iterations on standard error.")]
+VARIANT = Annotated[str | None, typer.Option(help="A variant of the scenario.")]
+SET = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scenario: controller.horizon=24."),
+]
+FORMULATION = Annotated[str | None, typer.Option(help="Formulation: ac, ...; 'opfmodel list' shows all.")]
+SOLVER = Annotated[str | None, typer.Option(help="Back end or solver: auto, ipopt, ...")]
+HORIZON = Annotated[int | None, typer.Option(help="Number of stages.")]
+
+
+def main() -> NoReturn:
+    """Run the command line; a mistake in the input is one line on standard error and exit status 2."""
+    as_json = "--json" in sys.argv[1:]
+    warnings.showwarning = _show_warning
+    try:
+        code = app(standalone_mode=False)
+    except typer.Exit as stop:
+        sys.exit(stop.exit_code)
+    except typer.Abort:
+        sys.exit(1)
+    except KeyboardInterrupt:
+        _fail("interrupted", as_json, code=1)
+    except Exception as error:
+        message = _mistake(error)
+        if message is None:
+            raise
+        _fail(message, as_json)
+    sys.exit(code or 0)
+
+
+def _mistake(error: Exception) -> str | None:
+    """What to tell the user about an error that is his, None for one that is ours."""
+    if isinstance(error, OpfmodelError):
+        return str(error)
+    if hasattr(error, "format_message"):  # usage of the command line itself
+        return str(error.format_message())
+    from solvers import SolverError
+
+    return str(error) if isinstance(error, SolverError) else None
+
+
+def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
+    print(f"error: {message}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"error": message}))
+    sys.exit(code)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    from opfmodel.errors import CaseWarning
+
+    if issubclass(category, CaseWarning):
+        print(f"warning: {message}", file=sys.stderr)
+
+
+# Commands ---------------------------------------------------------------------------------------
+
+
+@app.command()
+def solve(
+    file: FILE,
+    formulation: FORMULATION = None,
+    solver: SOLVER = None,
+    horizon: HORIZON = None,
+    default_cost: Annotated[
+        float | None, typer.Option(help="Cost in $/MWh of generators for which a network file has none.")
+    ] = None,
+    variant: VARIANT = None,
+    set_: SET = None,
+    json_: JSON = False,
+    verbose: VERBOSE = False,
+) -> int:
+    """Solve one problem: of a network file its optimal power flow, of a scenario the first plan."""
+    problem, plan = _solve(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
+    report = _verify(problem, plan)
+    result = {
+        "status": plan.status,
+        "termination": plan.termination,
+        "objective": plan.objective,
+        "build_seconds": problem.build_seconds,
+        "solve_seconds": plan.solution.seconds,
+        "iterations": plan.solution.iterations,
+        "max_violation": report.max_violation,
+        "formulation": problem.formulation.name,
+        "solver": plan.solution.solver,
+        "variables": plan.solution.program.n_variables,
+        "rows": plan.solution.program.n_rows,
+        "notes": list(problem.notes),
+    }
+    if json_:
+        print(json.dumps(result))
+    else:
+        _print_notes(problem.notes)
+        worst = report.worst
+        place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
+        _print_pairs(
+            {
+                "status": plan.status if plan.optimal else f"{plan.status}: {plan.termination}",
+                "objective": f"{plan.objective:,.4f} $" if plan.optimal else "none",
+                "formulation": problem.formulation.name,
+                "size": f"{result['variables']:,} variables, {result['rows']:,} rows",
+                "solver": f"{plan.solution.solver}, {plan.solution.iterations} iterations",
+                "time": f"{problem.build_seconds:.3f} s build, {plan.solution.seconds:.3f} s solve",
+                "max violation": f"{report.max_violation:.1e} p.u.{place}",
+            }
+        )
+    return 0 if plan.optimal else 1
+
+
+@app.command()
+def run(
+    scenario: SCENARIO,
+    out: Annotated[Path | None, typer.Option(help="Folder of the results; results/NAME by default.")] = None,
+    variant: VARIANT = None,
+    set_: SET = None,
+    json_: JSON = False,
+    verbose: VERBOSE = False,
+    figures: Annotated[bool, typer.Option(help="Draw the figure of the whole system.")] = True,
+) -> int:
+    """Run the closed loop of a scenario; save trajectories, a summary and a figure."""
+    from opfmodel import plot, results
+    from opfmodel.check import check
+
+    loaded = _scenario(scenario, variant, set_)
+    folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
+    with _solver_output(verbose):
+        done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose, verbose=verbose)
+    summary: dict[str, Any] = {"scenario": loaded.name, **done.summary(), "max_violation": None}
+    if done.steps:
+        data = done.data
+        series = {f"{name}.{key}": values for (name, key), values in loaded.profiles.series.items()}
+        summary["max_violation"] = check(loaded.network, data, series).max_violation
+        results.save(data, summary, folder)
+        if figures:
+            plot.save_figures(data, folder, figures=["system"])
+    if json_:
+        print(json.dumps(summary))
+    else:
+        _print_notes(done.problem.notes)
+        _print_run(summary, folder)
+    return 0 if done.status == "done" else 1
+
+
+@app.command()
+def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
+    """Check a scenario or network file without solving anything."""
+    from opfmodel.cases import read_network
+    from opfmodel.components import Polynomial
+    from opfmodel.network import per_unit
+
+    if _is_scenario(file):
+        loaded = _scenario(file, variant, set_)
+        network = loaded.network
+    else:
+        network = read_network(file, default_cost=Polynomial())
+    arrays = per_unit(network)
+    counts = {kind.plural: len(network.of(kind)) for kind in network.kinds()}
+    if json_:
+        print(json.dumps({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)}))
+    else:
+        _print_notes(arrays.notes)
+        print(f"{file}: valid; {network!r}")
+    return 0
+
+
+@app.command("plot")
+def plot_(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    bus: Annotated[list[str] | None, typer.Option(help="A bus to show; repeat for several.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the figures; the run's by default.")] = None,
+    json_: JSON = False,
+) -> int:
+    """Draw the figures of a run: the system, the demand and single buses, as PDF and PNG."""
+    from opfmodel import plot, results
+
+    written = plot.save_figures(results.load(folder), folder if out is None else out, bus)
+    if json_:
+        print(json.dumps({"figures": [str(path) for path in written]}))
+    else:
+        print("\n".join(str(path) for path in written))
+    return 0
+
+
+@app.command("list")
+def list_(json_: JSON = False) -> int:
+    """List objectives, formulations, devices, profiles and back ends, with their origin."""
+    from opfmodel.catalogue import catalogue
+
+    entries = catalogue()
+    if json_:
+        print(json.dumps({"plugins": [entry.as_dict() for entry in entries]}))
+        return 0
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("sort", "name", "origin", "what it is", box=None, pad_edge=False)
+    for entry in entries:
+        table.add_row(entry.sort, entry.name, entry.origin, entry.summary)
+    Console().print(table)
+    return 0
+
+
+# Parts of the commands --------------------------------------------------------------------------
+
+
+def _solve(
+    file: Path,
+    formulation: str | None,
+    solver: str | None,
+    horizon: int | None,
+    default_cost: float | None,
+    variant: str | None,
+    overrides: list[str] | None,
+    verbose: bool,
+) -> tuple[MultiStage, Plan]:
+    """Make the problem of a file and solve it."""
+    from opfmodel.cases import read_network
+    from opfmodel.components import Polynomial
+    from opfmodel.plan import MultiStage
+
+    if _is_scenario(file):
+        chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
+        changes = {f"controller.{key}": value for key, value in chosen.items() if value is not None}
+        scenario = _scenario(file, variant, overrides, changes)
+        problem = scenario.problem(verbose)
+        initial: Mapping[str, Any] | None = scenario.initial(problem)
+    else:
+        if variant is not None or overrides:
+            raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
+        cost = None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
+        problem = MultiStage(
+            read_network(file, default_cost=cost),
+            1 if horizon is None else horizon,
+            formulation=formulation or "ac",
+            solver=solver or "auto",
+            verbose=verbose,
+        )
+        initial = None
+    with _solver_output(verbose):
+        return problem, problem.solve(initial=initial)
+
+
+def _verify(problem: MultiStage, plan: Plan) -> Report:
+    from opfmodel.check import check
+
+    series = {f"{name}.{key}": values for (name, key), values in problem.profiles.series.items()}
+    return check(problem.network, plan.data, series)
+
+
+def _is_scenario(file: Path) -> bool:
+    return file.suffix.lower() in (".yaml", ".yml")
+
+
+def _scenario(
+    file: Path,
+    variant: str | None,
+    overrides: list[str] | None,
+    changes: Mapping[str, Any] | None = None,
+) -> Scenario:
+    from ruamel.yaml import YAML, YAMLError
+
+    from opfmodel.scenario import load_scenario
+
+    if not _is_scenario(file):
+        raise OpfmodelError(f"{file}: a scenario file ends in .yaml")
+    values: dict[str, Any] = {}
+    for item in overrides or []:
+        key, equals, text = item.partition("=")
+        if not equals or not key:
+            raise OpfmodelError(f"--set {item}: write KEY=VALUE, for instance controller.horizon=24")
+        try:
+            values[key] = YAML(typ="safe", pure=True).load(text)
+        except YAMLError as error:
+            raise OpfmodelError(f"--set {item}: the value is not YAML: {error}") from error
+    return load_scenario(file, variant, {**values, **(changes or {})})
+
+
+@contextmanager
+def _solver_output(verbose: bool) -> Iterator[None]:
+    """Send what a solver prints to standard error, so that standard output holds results alone."""
+    if not verbose:
+        yield
+        return
+    with redirect_stdout(sys.stderr):
+        yield
+
+
+def _print_notes(notes: tuple[str, ...]) -> None:
+    for note in notes:
+        print(f"note: {note}", file=sys.stderr)
+
+
+def _print_pairs(pairs: Mapping[str, str]) -> None:
+    width = max(len(key) for key in pairs)
+    for key, value in pairs.items():
+        print(f"{key:<{width}}  {value}")
+
+
+def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
+    done = summary["status"] == "done"
+    violation = summary["max_violation"]
+    _print_pairs(
+        {
+            "scenario": summary["scenario"],
+            "status": "done" if done else f"{summary['status']}: {summary['termination']}",
+            "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps",
+            "solve time": f"{summary['solve_seconds_mean']:.3f} s mean, {summary['solve_seconds_max']:.3f} s largest",
+            "iterations": f"{summary['iterations_mean']:.1f} mean",
+            "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            "results": f"{folder}" if summary["steps"] else "none",
+        }
+    )

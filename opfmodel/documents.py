@@ -1,0 +1,117 @@
+"""YAML files as plain data that remembers where each value stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from opfmodel.errors import ScenarioError
+
+__all__ = ["Document", "read_document"]
+
+Key = tuple[str | int, ...]
+
+_MOST_BYTES = 20_000_000
+_MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
+_TAGS = ("map", "seq", "str", "int", "float", "bool", "null", "merge")
+
+
+@dataclass(frozen=True)
+class Document:
+    """The content of a YAML file and the position of every value in it.
+
+    Attributes
+    ----------
+    content
+        Dictionaries, lists, strings, numbers, booleans and None.
+    positions
+        Line and column, from 1, by path of keys.
+    """
+
+    path: Path
+    content: Any
+    positions: Mapping[Key, tuple[int, int]]
+
+    def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
+        """An error that names file, line, column and key; of a missing key the parent's position."""
+        known = tuple(key)
+        while known and known not in self.positions:
+            known = known[:-1]
+        line, column = self.positions.get(known, (1, 1))
+        name = ".".join(str(part) for part in key)
+        return ScenarioError(f"{self.path}:{line}:{column}: {name + ': ' if name else ''}{message}")
+
+
+def read_document(path: str | Path) -> Document:
+    """Read a YAML 1.2 file; tags are refused, so that nothing in it can be more than data.
+
+    Raises
+    ------
+    ScenarioError
+        The file is missing or is not YAML; the message names line and column.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    path = Path(path)
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ScenarioError(f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; put series into data files")
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: there is no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: cannot be read: {error}") from error
+    yaml = YAML(typ="rt", pure=True)
+    try:
+        tree = yaml.load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{mark.line + 1}:{mark.column + 1}: " if mark is not None else ""
+        raise ScenarioError(f"{path}:{where} not YAML: {error.problem or error.context}") from None
+    except (YAMLError, ValueError) as error:
+        raise ScenarioError(f"{path}: not YAML: {error}") from None
+    positions: dict[Key, tuple[int, int]] = {}
+    reader = _Plain(path, positions)
+    return Document(path, reader.convert(tree, ()), positions)
+
+
+class _Plain:
+    """Turns ruamel's objects into plain ones and notes where they stand."""
+
+    def __init__(self, path: Path, positions: dict[Key, tuple[int, int]]) -> None:
+        self.path = path
+        self.positions = positions
+        self.count = 0
+
+    def convert(self, node: Any, key: Key) -> Any:
+        self.count += 1
+        if self.count > _MOST_VALUES:
+            raise ScenarioError(f"{self.path}: expands to more than {_MOST_VALUES} values; too many aliases?")
+        tag = getattr(getattr(node, "tag", None), "value", None)
+        if tag is not None and str(tag).removeprefix("tag:yaml.org,2002:") not in _TAGS:
+            line, column = self.positions.get(key, (1, 1))
+            raise ScenarioError(f"{self.path}:{line}:{column}: the tag {tag} is not accepted; plain data only")
+        if isinstance(node, Mapping):
+            return {str(k): self._child(node, k, (*key, str(k)), node.lc.key) for k in node}
+        if isinstance(node, list):
+            return [self._child(node, i, (*key, i), node.lc.item) for i in range(len(node))]
+        return _scalar(node)
+
+    def _child(self, node: Any, index: Any, key: Key, position: Any) -> Any:
+        try:
+            line, column = position(index)
+            self.positions[key] = (line + 1, column + 1)
+        except KeyError:
+            pass  # came in by a merge key and stands elsewhere; the parent's position will do
+        return self.convert(node[index], key)
+
+
+def _scalar(node: Any) -> Any:
+    """A plain Python value instead of ruamel's subclass of it."""
+    for kind in (bool, int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    return node

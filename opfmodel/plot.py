@@ -1,0 +1,200 @@
+"""Figures of a run or a plan: what the whole system does, and what single buses do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from opfmodel.errors import ResultError, nearest
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+__all__ = ["FIGURES", "buses", "demand", "save_figures", "system"]
+
+# Readable in grey as well: colours of Okabe and Ito, and a line style each.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_WIDTH = 7.2  # inches: the text width of a page
+_MOST_LINES = 7
+
+
+def system(data: xr.Dataset) -> Figure:
+    """Sums over the system: demand, generation, storage power and losses; stored energy; cost."""
+    rows = 2 + ("e" in data) if "cost_rate" in data else 1 + ("e" in data)
+    figure, axes = _figure(rows, data)
+    power = axes[0]
+    generation, drawn = _total(data, "pg"), _total(data, "pd")
+    stored = _total(data, "ps")
+    losses = generation - drawn - stored
+    for values, label, colour, style in (
+        (drawn, "demand", _COLOURS[6], "-."),
+        (generation, "generation", _COLOURS[0], "-"),
+        (stored, "storage (charging > 0)", _COLOURS[1], "--"),
+        (losses, "losses", _COLOURS[4], "-"),
+    ):
+        _steps(power, data, values, label=label, color=colour, linestyle=style)
+    power.set_ylabel("power [MW]")
+    _legend(power, 4)
+    used = 1
+    if "e" in data:
+        _line(axes[used], data, _total(data, "e"), color=_COLOURS[2], label="stored energy")
+        axes[used].set_ylabel("energy [MWh]")
+        used += 1
+    if "cost_rate" in data:
+        _steps(axes[used], data, data["cost_rate"].values, color=_COLOURS[3])
+        axes[used].set_ylabel("cost [$/h]")
+    return figure
+
+
+def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
+    """Active (solid) and reactive (dashed) demand of some buses, and the sum of all."""
+    figure, axes = _figure(2, data)
+    for number, bus in enumerate(_buses(data, names)):
+        colour = _COLOURS[number % len(_COLOURS)]
+        _steps(axes[0], data, data["pd"].sel(bus=bus).values, label=f"bus {bus}", color=colour)
+        _steps(axes[0], data, data["qd"].sel(bus=bus).values, color=colour, linestyle="--")
+    axes[0].set_ylabel("demand [MW], [MVAr]")
+    _legend(axes[0], _MOST_LINES)
+    _steps(axes[1], data, _total(data, "pd"), color=_COLOURS[6], linestyle="-.")
+    axes[1].set_ylabel("total demand [MW]")
+    return figure
+
+
+def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
+    """Inputs, outputs and states at some buses: generation, storage power, voltage, stored energy.
+
+    Active power, voltage magnitude and energy are solid, reactive power and angle dashed.
+    """
+    chosen = _buses(data, names)
+    panels = [
+        ("generator", ("pg", "qg"), "generation\n[MW], [MVAr]"),
+        ("storage", ("ps", "qs"), "storage power\n[MW], [MVAr]"),
+        ("bus", ("vm",), "voltage [p.u.]"),
+        ("bus", ("va",), "angle [deg]"),
+        ("storage", ("e",), "energy [MWh]"),
+    ]
+    panels = [panel for panel in panels if panel[1][0] in data]
+    figure, axes = _figure(len(panels), data)
+    for axis, (kind, quantities, label) in zip(axes, panels, strict=True):
+        for number, bus in enumerate(chosen):
+            for quantity, style in zip(quantities, ("-", "--"), strict=False):
+                values = _at_bus(data, quantity, kind, bus)
+                if values is not None:
+                    draw = _line if quantity == "e" else _steps
+                    name = f"bus {bus}" if style == "-" else None
+                    draw(axis, data, values, label=name, color=_COLOURS[number % len(_COLOURS)], linestyle=style)
+        axis.set_ylabel(label)
+    _legend(axes[0] if len(_lines(axes[0])) == len(chosen) else axes[-1], _MOST_LINES)
+    return figure
+
+
+FIGURES = {"system": system, "demand": demand, "buses": buses}
+
+
+def save_figures(
+    data: xr.Dataset,
+    folder: Path,
+    names: Sequence[str] | None = None,
+    figures: Iterable[str] = tuple(FIGURES),
+) -> list[Path]:
+    """Draw figures and write each as PDF and PNG.
+
+    Parameters
+    ----------
+    names
+        Buses to show; by default a few with the most demand and generation.
+
+    Raises
+    ------
+    ResultError
+        An unknown bus, or the folder cannot be written.
+    """
+    written = []
+    for name in figures:
+        figure = system(data) if name == "system" else FIGURES[name](data, names)  # type: ignore[operator]
+        figure.suptitle(f"{data.attrs.get('network', '')}: {name}")
+        for suffix in ("pdf", "png"):
+            path = folder / f"{name}.{suffix}"
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                figure.savefig(path, dpi=200)
+            except OSError as error:
+                raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
+            written.append(path)
+    return written
+
+
+def _figure(rows: int, data: xr.Dataset) -> tuple[Figure, list[Any]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, 1.0 + 1.55 * rows), layout="constrained")
+    axes = list(np.atleast_1d(figure.subplots(rows, 1, sharex=True)))
+    for axis in axes:
+        axis.grid(alpha=0.3, linewidth=0.5)
+        axis.margins(x=0.01)
+    axes[-1].set_xlabel("time [h]")
+    return figure, axes
+
+
+def _step_hours(data: xr.Dataset) -> float:
+    return float(data.attrs.get("step_hours", 1.0))
+
+
+def _steps(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
+    """A quantity that is constant during each stage."""
+    times = np.append(data["time"].values, data["time"].values[-1] + _step_hours(data))
+    axis.step(times, np.append(values, values[-1]), where="post", linewidth=1.2, **style)
+
+
+def _line(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
+    """A quantity at the start of each stage."""
+    axis.plot(data["time"].values, values, linewidth=1.2, marker=".", markersize=3, **style)
+
+
+def _total(data: xr.Dataset, quantity: str) -> Any:
+    if quantity not in data:
+        return np.zeros(data.sizes["time"])
+    array = data[quantity]
+    return array.sum([d for d in array.dims if d != "time"]).values
+
+
+def _at_bus(data: xr.Dataset, quantity: str, kind: str, bus: str) -> Any:
+    """Sum of a quantity over the components at a bus; None where there are none."""
+    if quantity not in data:
+        return None
+    if kind == "bus":
+        return data[quantity].sel(bus=bus).values
+    members = [c for c, b in zip(data[kind].values, data[f"{kind}_bus"].values, strict=True) if b == bus]
+    return data[quantity].sel({kind: members}).sum(kind).values if members else None
+
+
+def _buses(data: xr.Dataset, names: Sequence[str] | None) -> list[str]:
+    known = [str(b) for b in data["bus"].values]
+    if names is not None:
+        for name in names:
+            if name not in known:
+                raise ResultError(f"no bus is named {name!r}; {nearest(name, known)}")
+        return list(names)
+    if len(known) <= _MOST_LINES:
+        return known
+    weight = dict.fromkeys(known, 0.0)
+    for bus in known:
+        weight[bus] = float(np.abs(data["pd"].sel(bus=bus)).max())
+        generated = _at_bus(data, "pg", "generator", bus)
+        if generated is not None:
+            weight[bus] = max(weight[bus], float(np.abs(generated).max()))
+    return sorted(sorted(known, key=lambda b: -weight[b])[:4], key=known.index)
+
+
+def _lines(axis: Any) -> list[str]:
+    return [label for label in axis.get_legend_handles_labels()[1] if label]
+
+
+def _legend(axis: Any, columns: int) -> None:
+    count = len(_lines(axis))
+    if count:
+        axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(count, columns), fontsize=8, frameon=False)

@@ -1,0 +1,89 @@
+"""What a profile rule is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import Component, Load, Network
+from opfmodel.errors import ProfileError, nearest
+
+__all__ = ["ProfileRule", "Workbook"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class Workbook:
+    """Time series in the making; rules read and write them one after the other.
+
+    Attributes
+    ----------
+    network
+        The declared network.
+    steps
+        Number of values of every series.
+    step
+        Hours between two values.
+    folder
+        Where relative file names start from.
+    series
+        Series by ``"component.field"``, in physical units.
+    """
+
+    network: Network
+    steps: int
+    step: float
+    folder: Path
+    series: dict[str, Array] = field(default_factory=dict)
+
+    def get(self, component: str, key: str) -> Array:
+        """The series of a field so far; a constant one if no rule has touched it."""
+        if component not in self.network:
+            raise ProfileError(f"no component is named {component!r}; {nearest(component, self.network)}")
+        name = f"{component}.{key}"
+        if name not in self.series:
+            return np.full(self.steps, constant(self.network[component], key))
+        return self.series[name]
+
+    def set(self, component: str, key: str, values: Array) -> None:
+        """Replace the series of a field."""
+        self.series[f"{component}.{key}"] = np.asarray(values, dtype=float)
+
+    def loads(self, names: list[str] | None) -> list[str]:
+        """Names of loads: the given ones, checked, or all."""
+        known = self.network.of(Load)
+        for name in names or ():
+            if name not in known:
+                raise ProfileError(f"no load is named {name!r}; {nearest(name, known)}")
+        return list(known) if names is None else names
+
+
+class ProfileRule:
+    """Changes the time series of a scenario; one class in one file.
+
+    Registered by an entry point in the group ``opfmodel.profiles``; the keyword arguments of the
+    constructor are the options in a scenario file.
+    """
+
+    def apply(self, book: Workbook) -> None:
+        """Change the series of ``book``."""
+        raise NotImplementedError
+
+
+def constant(component: Component, key: str) -> float:
+    """Value of a field of a table (``p``, ``p_max``, ``c1``) as the component declares it."""
+    resolved = component.resolved()
+    stem, _, end = key.rpartition("_")
+    value = getattr(resolved, key, None)
+    if value is None and end in ("min", "max") and hasattr(resolved, stem):
+        pair = getattr(resolved, stem)
+        value = pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair)
+    if value is None:
+        value = getattr(getattr(resolved, "cost", None), key, None)
+    if value is None:
+        raise ProfileError(f"a {component.kind} has no number {key!r}")
+    return float(value)

@@ -1,0 +1,60 @@
+"""Demand that is higher or lower for a while."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.errors import ProfileError
+from opfmodel.profiles.base import ProfileRule, Workbook
+
+__all__ = ["Step"]
+
+
+class Step(ProfileRule):
+    """Change demand from one step to another, inclusive, at constant power factor.
+
+    Parameters
+    ----------
+    loads
+        Names of loads.
+    first, last
+        First and last step of the change.
+    add
+        What is added to the active demand of each load, MW.
+    factor
+        What the demand is multiplied by; give either ``add`` or ``factor``.
+    """
+
+    def __init__(
+        self,
+        loads: list[str],
+        first: int,
+        last: int,
+        add: float | None = None,
+        factor: float | None = None,
+    ) -> None:
+        if (add is None) == (factor is None):
+            raise ProfileError("a step needs either 'add' or 'factor'")
+        if not 0 <= first <= last:
+            raise ProfileError(f"a step needs 0 <= first <= last, not first = {first}, last = {last}")
+        self.loads = loads
+        self.first = first
+        self.last = last
+        self.add = add
+        self.factor = factor
+
+    def apply(self, book: Workbook) -> None:
+        """Change the demand in the steps from ``first`` to ``last``."""
+        for load in book.loads(self.loads):
+            p, q = book.get(load, "p").copy(), book.get(load, "q").copy()
+            window = slice(self.first, self.last + 1)
+            if self.factor is not None:
+                factor = np.full_like(p[window], self.factor)
+            elif (p[window] == 0).any():
+                raise ProfileError(f"load {load!r} has no active demand, and so no power factor to keep")
+            else:
+                factor = 1.0 + self.add / p[window]
+            p[window] *= factor
+            q[window] *= factor
+            book.set(load, "p", p)
+            book.set(load, "q", q)

@@ -1,0 +1,487 @@
+"""Scenario files: a network, time series, a controller and a closed loop in one YAML document.
+
+``docs/scenarios.md`` describes the keys. Loading a scenario reads files and executes nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from opfmodel import cases, components, plugins
+from opfmodel.components import Bus, Component, Network, Polynomial
+from opfmodel.documents import Document, read_document
+from opfmodel.errors import (
+    CaseError,
+    ComponentError,
+    NetworkError,
+    OpfmodelError,
+    PluginError,
+    ProfileError,
+    ScenarioError,
+    nearest,
+)
+from opfmodel.formulations.base import Formulation
+from opfmodel.network import per_unit
+from opfmodel.objectives.base import Objective, WeightedSum
+from opfmodel.plan import End, MultiStage
+from opfmodel.profiles.base import Workbook, constant
+from opfmodel.profiles.series import Profiles
+from opfmodel.simulation import Controller, Run, simulate, single_stage
+from solvers import Kind, SolverError, find
+
+__all__ = ["Scenario", "load_scenario"]
+
+Spec = str | dict[str, Any] | list[dict[str, Any]]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Time(_Section):
+    step: float = Field(1.0, gt=0, description="hours")
+    steps: int = Field(1, ge=1)
+
+
+class _End(_Section):
+    cyclic: bool = False
+    minimum: float = Field(0.0, ge=0, le=1)
+    price: float = 0.0
+
+
+class _Solver(_Section):
+    name: str = "auto"
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class _Controller(_Section):
+    horizon: int = Field(1, ge=1)
+    formulation: str = "ac"
+    objective: Spec | None = None
+    generator_delay: Literal[0, 1] = 0
+    initial_dispatch: Literal["free", "single-stage"] | None = None
+    end: _End = Field(default_factory=_End)
+    regularisation: float | None = Field(None, ge=0)
+    solver: str | _Solver = "auto"
+
+
+class _File(_Section):
+    name: str | None = None
+    description: str = ""
+    network: dict[str, Any]
+    time: _Time = Field(default_factory=_Time)
+    profiles: list[str | dict[str, Any]] = Field(default_factory=list)
+    cost: Spec = "economic"
+    controller: _Controller = Field(default_factory=_Controller)
+    variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+
+@dataclass
+class Scenario:
+    """A scenario that has been read and checked.
+
+    Attributes
+    ----------
+    name
+        Its name, with the variant if one was chosen.
+    network, profiles
+        Made from the file.
+    cost
+        The objective that realised costs are metered with.
+    settings
+        The checked content of the file.
+    """
+
+    name: str
+    path: Path
+    network: Network
+    profiles: Profiles
+    cost: Objective
+    objective: Objective
+    settings: _File
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the closed loop."""
+        return self.settings.time.steps
+
+    def problem(self, verbose: bool = False) -> MultiStage:
+        """The multi-stage problem of the controller."""
+        controller = self.settings.controller
+        solver = controller.solver
+        name, options = (solver, {}) if isinstance(solver, str) else (solver.name, solver.options)
+        return MultiStage(
+            self.network,
+            controller.horizon,
+            self.settings.time.step,
+            formulation=_make("formulation", controller.formulation, Formulation),
+            objective=self.objective,
+            profiles=self.profiles,
+            generator_delay=controller.generator_delay,
+            end=End(**controller.end.model_dump()),
+            regularisation=controller.regularisation,
+            solver=name,
+            options=options,
+            verbose=verbose,
+        )
+
+    def initial(self, problem: MultiStage) -> dict[str, npt.NDArray[np.float64]] | None:
+        """The dispatch that the first problem starts from, in physical units; None leaves it free.
+
+        Raises
+        ------
+        OpfmodelError
+            The single-stage problem of the first step has no solution.
+        """
+        controller = self.settings.controller
+        wanted = controller.initial_dispatch
+        if wanted is None:
+            wanted = "single-stage" if controller.generator_delay == 1 else "free"
+        if wanted == "free":
+            return None
+        metered = MultiStage(
+            self.network,
+            step=self.settings.time.step,
+            objective=self.cost,
+            profiles=self.profiles,
+        )
+        plan = single_stage(metered)
+        if not plan.optimal:
+            raise OpfmodelError(
+                f"{self.path}: the single-stage optimum of step 0, from which the dispatch starts, "
+                f"was not found: {plan.status} ({plan.termination})"
+            )
+        data = plan.data
+        return {name: np.asarray(data[name].values[0]) for name in ("pg", "qg") if name in data}
+
+    def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
+        """Run the closed loop of the scenario."""
+        problem = self.problem(verbose)
+        initial = self.initial(problem)
+        return simulate(
+            Controller(problem), steps=self.steps, initial=initial, objective=self.cost, progress=progress
+        )
+
+
+def load_scenario(
+    path: str | Path, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    variant
+        One of the file's variants, whose keys are laid over the others.
+    overrides
+        Values by dotted key, laid over everything: ``{"controller.horizon": 24}``.
+
+    Raises
+    ------
+    ScenarioError
+        The file breaks its schema: an unknown key, a wrong type, a value out of range; the
+        message names file, line, column and what would be accepted.
+    """
+    document = read_document(path)
+    if not isinstance(document.content, dict):
+        raise document.error((), "a scenario is a mapping with the key 'network' and others")
+    content = deepcopy(document.content)
+    if variant is not None:
+        variants = content.get("variants") or {}
+        if not isinstance(variants, dict) or variant not in variants:
+            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
+        content = _overlay(content, variants[variant])
+    for key, value in (overrides or {}).items():
+        content = _overlay(content, _nested(key.split("."), value))
+    settings = _validate(document, content)
+    with _located(document, ("network",)):
+        declarations = _Declarations(document, settings.network)
+        network = declarations.network(settings.name or document.path.stem)
+        declarations.check(network)
+    name = settings.name or document.path.stem
+    scenario = Scenario(
+        name=name if variant is None else f"{name}:{variant}",
+        path=document.path,
+        network=network,
+        profiles=_profiles(document, settings, network),
+        cost=_objective(document, ("cost",), settings.cost),
+        objective=_objective(
+            document,
+            ("controller", "objective") if settings.controller.objective is not None else ("cost",),
+            settings.cost if settings.controller.objective is None else settings.controller.objective,
+        ),
+        settings=settings,
+    )
+    controller = settings.controller
+    with _located(document, ("controller", "formulation")):
+        plugins.load("formulation", controller.formulation)
+    solver = controller.solver if isinstance(controller.solver, str) else controller.solver.name
+    if solver != "auto":
+        with _located(document, ("controller", "solver")):
+            find(solver, Kind.LINEAR)
+    with _located(document, ("controller",)):
+        scenario.problem()
+    return scenario
+
+
+# Reading the parts ------------------------------------------------------------------------------
+
+
+def _overlay(base: Any, over: Any) -> Any:
+    """``over`` laid over ``base``: mappings key by key, anything else replaced."""
+    if isinstance(base, dict) and isinstance(over, dict):
+        return {**base, **{key: _overlay(base.get(key), value) for key, value in over.items()}}
+    return over
+
+
+def _nested(keys: list[str], value: Any) -> dict[str, Any]:
+    return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
+
+
+def _validate(document: Document, content: Any) -> _File:
+    try:
+        return _File.model_validate(content)
+    except ValidationError as error:
+        first = next(e for e in error.errors() if not _other_branch(e))
+        key = tuple(part for part in first["loc"] if not _is_union_tag(part))
+        raise document.error(key, _explain(first, key)) from None
+
+
+def _is_union_tag(part: object) -> bool:
+    """Pydantic puts the branch of a union into the location of an error."""
+    return isinstance(part, str) and (part in ("str", "_Solver") or part.startswith(("dict[", "list[")))
+
+
+def _other_branch(error: Mapping[str, Any]) -> bool:
+    """Whether an error only says that a mapping is not the plain name that a union accepts too."""
+    return error["loc"][-1] == "str" and isinstance(error["input"], dict | list)
+
+
+def _explain(error: Mapping[str, Any], key: tuple[str | int, ...]) -> str:
+    if error["type"] == "extra_forbidden":
+        model: Any = _File
+        for part in key[:-1]:
+            annotation = model.model_fields[str(part)].annotation
+            model = annotation if isinstance(annotation, type) else _Solver
+        return f"unknown key; {nearest(str(key[-1]), model.model_fields)}"
+    if error["type"] == "missing":
+        return "this key is missing"
+    value = error.get("input")
+    shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
+    return f"{shown}{error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+@contextmanager
+def _located(document: Document, key: tuple[str | int, ...]) -> Iterator[None]:
+    """Give errors raised inside the position of ``key`` in the file."""
+    try:
+        yield
+    except ScenarioError:
+        raise
+    except PluginError as error:
+        raise document.error((*key, error.option) if error.option else key, str(error)) from error
+    except (OpfmodelError, SolverError) as error:
+        raise document.error(key, str(error)) from error
+
+
+class _Declarations:
+    """Makes the network of a scenario from its section."""
+
+    _OWN = ("file", "name", "base_mva", "default_cost", "update", "remove")
+
+    def __init__(self, document: Document, section: dict[str, Any]) -> None:
+        self.document = document
+        self.section = section
+        self.kinds = {kind.plural: kind for kind in component_kinds()}
+
+    def network(self, name: str) -> Network:
+        known = (*self._OWN, *self.kinds)
+        for key in self.section:
+            if key not in known:
+                raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}")
+        network = self._start(name)
+        for plural in sorted(self.kinds, key=lambda p: p != "buses"):
+            for component, fields in self._members(plural):
+                self._declare(network, self.kinds[plural], component, fields)
+        for component, fields in self._members("update"):
+            self._update(network, component, fields)
+        removed = self.section.get("remove") or []
+        if not isinstance(removed, list):
+            raise self.document.error(("network", "remove"), "must be a list of component names")
+        for component in removed:
+            network.remove(str(component))
+        return network
+
+    def check(self, network: Network) -> None:
+        """Raise an error with the position of the component that names an unknown bus."""
+        try:
+            per_unit(network)
+        except ComponentError as error:
+            for section in (*self.kinds, "update"):
+                for name, _ in self._members(section):
+                    if _pattern(name).fullmatch(error.component):
+                        key = ("network", section, name, error.field)
+                        raise self.document.error(key, f"{error.value!r}: {error.rule}") from error
+            raise
+
+    def _start(self, name: str) -> Network:
+        file, base_mva = self.section.get("file"), self.section.get("base_mva")
+        if file is None:
+            return Network(self.section.get("name", name), 100.0 if base_mva is None else base_mva)
+        if not isinstance(file, str):
+            raise self.document.error(("network", "file"), "must be a path, relative to this file")
+        if base_mva is not None:
+            raise self.document.error(("network", "base_mva"), "is given by the network file")
+        price = self.section.get("default_cost")
+        with _located(self.document, ("network", "file")):
+            return cases.read_network(
+                self.document.path.parent / file,
+                default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
+            )
+
+    def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        members = self.section.get(section) or {}
+        if not isinstance(members, dict):
+            raise self.document.error(("network", section), "must be a mapping from names to fields")
+        for name, fields in members.items():
+            if not isinstance(fields, dict):
+                raise self.document.error(("network", section, name), "must be a mapping from fields to values")
+            yield name, fields
+
+    def _declare(self, network: Network, kind: type[Component], name: str, fields: dict[str, Any]) -> None:
+        """Declare one component, or one at every bus where name and bus are written with a star."""
+        with self._fields(kind.plural, name):
+            if str(fields.get("bus")) != "*":
+                network.add(name, kind.from_mapping(name, self._shares(kind, name, fields)))
+                return
+            if name.count("*") != 1:
+                raise ComponentError(name, "bus", "*", "for one at every bus the name needs a * too: 'cell*'")
+            for bus in network.of(Bus):
+                member = name.replace("*", bus)
+                network.add(member, kind.from_mapping(member, self._shares(kind, name, {**fields, "bus": bus})))
+
+    def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
+        """Change fields of one component, or of all whose names match a pattern."""
+        matching = [n for n in network if _pattern(name).fullmatch(n)]
+        if not matching:
+            raise self.document.error(
+                ("network", "update", name), f"no component of that name; {nearest(name, network)}"
+            )
+        for member in matching:
+            old = network[member]
+            plain = {k: getattr(old, k) for k in old.fields()}
+            with self._fields("update", name):
+                network.update(member, **self._shares(type(old), member, fields, plain))
+
+    @contextmanager
+    def _fields(self, section: str, name: str) -> Iterator[None]:
+        try:
+            yield
+        except ComponentError as error:
+            key = ("network", section, name, error.field)
+            shown = "" if error.value is None else f"{error.value!r}: "
+            raise self.document.error(key, f"{shown}{error.rule}") from error
+        except (NetworkError, CaseError) as error:
+            raise self.document.error(("network", section, name), str(error)) from error
+
+    @staticmethod
+    def _shares(
+        kind: type[Component], name: str, fields: dict[str, Any], others: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """Replace values such as ``10% of p_max`` by numbers."""
+        known = {k: v for k, v in {**(others or {}), **fields}.items() if not _SHARE.fullmatch(str(v))}
+        resolved = dict(fields)
+        for key, value in fields.items():
+            match = _SHARE.fullmatch(value) if isinstance(value, str) else None
+            if match:
+                whole = kind.from_mapping(name, known)
+                try:
+                    resolved[key] = float(match[1]) / 100.0 * constant(whole, match[2])
+                except ProfileError as error:
+                    raise ComponentError(name, key, value, str(error)) from error
+        return resolved
+
+
+def _pattern(name: str) -> re.Pattern[str]:
+    """The names that a name with stars stands for."""
+    return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))
+
+
+_SHARE = re.compile(r"\s*([0-9.]+)\s*%\s*of\s+(\w+)\s*")
+
+
+def component_kinds() -> list[type[Component]]:
+    """Classes of components that a scenario can declare: the built-in ones and those of devices."""
+    built_in = [
+        components.Bus,
+        components.Branch,
+        components.Generator,
+        components.Storage,
+        components.Load,
+        components.Shunt,
+    ]
+    known: dict[str, type[Component]] = {kind.kind: kind for kind in built_in}
+    for name, plugin in plugins.plugins("device").items():
+        if name not in known:
+            component = plugin.load().component
+            known[component.kind] = component
+    return list(known.values())
+
+
+def _profiles(document: Document, settings: _File, network: Network) -> Profiles:
+    steps = settings.time.steps + settings.controller.horizon - 1
+    book = Workbook(network, steps, settings.time.step, document.path.parent)
+    for number, spec in enumerate(settings.profiles):
+        key = ("profiles", number)
+        name, options = _single(document, key, spec)
+        with _located(document, (*key, name)):
+            plugins.make("profile", name, options).apply(book)
+    return Profiles.of(book.series)
+
+
+def _objective(document: Document, key: tuple[str | int, ...], spec: Spec) -> Objective:
+    if not isinstance(spec, list):
+        name, options = _single(document, key, spec)
+        with _located(document, (*key, name) if isinstance(spec, dict) else key):
+            made = plugins.make("objective", name, options)
+            assert isinstance(made, Objective)
+            return made
+    parts: list[tuple[float, Objective]] = []
+    for number, part in enumerate(spec):
+        rest = {k: v for k, v in part.items() if k != "weight"}
+        weight = part.get("weight", 1.0)
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
+            raise document.error((*key, number, "weight"), f"{weight!r}: must be a number, at least 0")
+        parts.append((float(weight), _objective(document, (*key, number), rest)))
+    if not parts:
+        raise document.error(key, "needs at least one objective")
+    return WeightedSum(parts)
+
+
+def _single(document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Name and options of a plugin: ``name`` or ``{name: {option: value}}``."""
+    if isinstance(spec, str):
+        return spec, {}
+    if len(spec) != 1:
+        raise document.error(key, f"must be a name, or one name with its options, not {len(spec)} keys")
+    name, options = next(iter(spec.items()))
+    if options is not None and not isinstance(options, dict):
+        raise document.error((*key, name), "the options must be a mapping")
+    return name, options or {}
+
+
+def _make(sort: str, name: str, kind: type[Any]) -> Any:
+    made = plugins.load(sort, name)()
+    if not isinstance(made, kind):
+        raise PluginError(f"{sort} {name!r} is not a {kind.__name__}")
+    return made

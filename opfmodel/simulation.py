@@ -1,0 +1,292 @@
+"""The closed loop: a controller that plans, a plant that answers, and what happened."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import Storage
+from opfmodel.errors import ModelError
+from opfmodel.model import NumericStage
+from opfmodel.objectives.base import Objective
+from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.results import dataset
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Controller", "NominalPlant", "Plant", "Run", "Step", "simulate", "single_stage"]
+
+Array = npt.NDArray[np.float64]
+State = Mapping[str, Array]
+
+
+class Controller:
+    """Plans at every step with the same compiled problem, starting from its last plan.
+
+    Parameters
+    ----------
+    problem
+        The multi-stage problem that is solved at every step.
+    """
+
+    def __init__(self, problem: MultiStage) -> None:
+        self.problem = problem
+        self._last: Plan | None = None
+
+    def plan(self, time: int, state: Initial | None) -> Plan:
+        """Plan from ``state`` at step ``time``; a plan that failed says so by its status.
+
+        A warm start that fails is repeated cold before the failure is accepted.
+        """
+        previous = self._last
+        plan = self.problem.solve(time, state, previous)
+        if not plan.optimal and previous is not None:
+            plan = self.problem.solve(time, state)
+        self._last = plan if plan.optimal else None
+        return plan
+
+
+@dataclass(frozen=True)
+class Step:
+    """What happened in one step.
+
+    Attributes
+    ----------
+    values
+        Per-unit values ``(items,)`` by ``(kind, quantity)``.
+    state
+        The state at the next step, in physical units.
+    """
+
+    values: Mapping[tuple[str, str], Array]
+    state: State
+
+
+class Plant(Protocol):
+    """Answers a plan: what the grid does in the first stage, and the next state."""
+
+    def apply(self, plan: Plan) -> Step:
+        """Apply the first stage of a plan."""
+        ...
+
+
+class NominalPlant:
+    """The grid does exactly what was planned."""
+
+    def apply(self, plan: Plan) -> Step:
+        """Take the first stage of the plan as what happened."""
+        values = {key: value[:, 0] for key, value in plan.quantities().items()}
+        return Step(values, plan.next_state())
+
+
+@dataclass
+class Run:
+    """A closed loop, finished or not.
+
+    Attributes
+    ----------
+    status
+        ``done``; or the status of the plan that failed, or ``stopped``; finished steps are kept.
+    termination
+        Why it ended.
+    """
+
+    problem: MultiStage
+    objective: Objective
+    plans: list[dict[str, Any]] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    status: str = "done"
+    termination: str = "all steps done"
+    build_seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {self.cost:.6g} $)"
+
+    @cached_property
+    def _stage(self) -> NumericStage:
+        """The realised quantities as numbers in per unit."""
+        network, count = self.problem.arrays, len(self.steps)
+        network = network.with_series(self.problem.profiles.window(network, 0, count))
+        keys = self.steps[0].values if self.steps else {}
+        values = {key: np.column_stack([step.values[key] for step in self.steps]) for key in keys}
+        return NumericStage(network, self.problem.step, values, self.problem.devices)
+
+    @property
+    def cost_rate(self) -> Array:
+        """Stage cost of the realised trajectory, $/h."""
+        if not self.steps:
+            return np.zeros(0)
+        return np.asarray(self.objective.stage_cost(self._stage), dtype=float)
+
+    @property
+    def cost(self) -> float:
+        """Realised cost over all steps, $."""
+        return float(self.cost_rate.sum()) * self.problem.step
+
+    @cached_property
+    def data(self) -> xr.Dataset:
+        """Realised trajectories in physical units and the effort of each step."""
+        stage, described = self._stage, self.problem.described
+        quantities = {
+            name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values
+        }
+        made = dataset(stage.network, quantities, np.arange(len(self.steps)) * self.problem.step)
+        made["cost_rate"] = ("time", self.cost_rate, {"units": "$/h", "long_name": "stage cost"})
+        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
+            values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
+            made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
+        made.attrs |= {
+            "network": self.problem.network.name,
+            "formulation": self.problem.formulation.name,
+            "objective": type(self.problem.objective).__name__,
+            "status": self.status,
+            "termination": self.termination,
+            "step_hours": self.problem.step,
+            "cost": self.cost,
+        }
+        return made
+
+    def summary(self) -> dict[str, Any]:
+        """The run in a few numbers."""
+        seconds = [plan["solve_seconds"] for plan in self.plans]
+        iterations = [plan["iterations"] for plan in self.plans]
+        return {
+            "status": self.status,
+            "termination": self.termination,
+            "cost": self.cost,
+            "steps": len(self.steps),
+            "build_seconds": self.build_seconds,
+            "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
+            "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
+            "iterations_mean": float(np.mean(iterations)) if iterations else 0.0,
+        }
+
+
+def simulate(
+    controller: Controller | MultiStage,
+    plant: Plant | None = None,
+    steps: int = 1,
+    *,
+    initial: Initial | None = None,
+    objective: Objective | None = None,
+    progress: bool = False,
+    on_step: Callable[[Run], None] | None = None,
+) -> Run:
+    """Run the closed loop: plan, apply the first stage, move on.
+
+    Parameters
+    ----------
+    controller
+        A controller, or the problem it is to solve.
+    plant
+        What answers the plans; the nominal plant by default.
+    steps
+        Number of steps.
+    initial
+        State at the first step, in physical units; see :meth:`MultiStage.solve`.
+    objective
+        What the realised cost is metered with; the controller's own objective by default.
+    progress
+        Whether to show a progress bar on standard error.
+    on_step
+        Called after every step with the run so far.
+
+    Returns
+    -------
+    Run
+        Also if a plan failed or the user pressed Ctrl-C: then with the steps done so far.
+    """
+    if isinstance(controller, MultiStage):
+        controller = Controller(controller)
+    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
+    plant = NominalPlant() if plant is None else plant
+    problem = controller.problem
+    needed, length = steps + problem.horizon - 1, problem.profiles.length
+    if length is not None and length < needed:
+        raise ModelError(
+            f"{steps} steps with a horizon of {problem.horizon} need time series of {needed} values; "
+            f"the shortest has {length}"
+        )
+    run = Run(problem, problem.objective if objective is None else objective)
+    state = initial
+    with _progress(steps) if progress else nullcontext(lambda: None) as advance:
+        try:
+            problem.compile()
+            run.build_seconds = problem.build_seconds
+            for time in range(steps):
+                began = clock.perf_counter()
+                plan = controller.plan(time, state)
+                run.plans.append(_record(plan, clock.perf_counter() - began))
+                if not plan.optimal:
+                    run.status = plan.status
+                    run.termination = f"step {time}: {plan.termination}"
+                    break
+                step = plant.apply(plan)
+                run.steps.append(step)
+                state = step.state
+                advance()
+                if on_step is not None:
+                    on_step(run)
+        except KeyboardInterrupt:
+            run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
+    return run
+
+
+def single_stage(problem: MultiStage, time: int = 0) -> Plan:
+    """The optimal power flow of one step by itself, without storage, ramps and constraints of one's own.
+
+    It gives the set-points x_s(d) of the demand at that step, and the dispatch to start a closed loop from.
+    """
+    network = problem.network.copy()
+    for name in problem.network.of(Storage):
+        network.remove(name)
+    profiles = problem.profiles.without(problem.network.of(Storage))
+    alone = MultiStage(
+        network,
+        formulation=problem.formulation,
+        objective=problem.objective,
+        profiles=profiles,
+        solver=problem.solver,
+        options=problem.options,
+    )
+    return alone.solve(time)
+
+
+def _record(plan: Plan, seconds: float) -> dict[str, Any]:
+    return {
+        "status": plan.status,
+        "termination": plan.termination,
+        "solve_seconds": plan.solution.seconds,
+        "step_seconds": seconds,
+        "iterations": plan.solution.iterations,
+        "plan_objective": plan.objective,
+    }
+
+
+class _progress:  # noqa: N801 - used like a function
+    """A progress bar; entering gives a function that advances it."""
+
+    def __init__(self, steps: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("closed loop"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._steps = steps
+
+    def __enter__(self) -> Callable[[], None]:
+        self._bar.start()
+        task = self._bar.add_task("", total=self._steps)
+        return lambda: self._bar.advance(task)
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
