@@ -1,13 +1,13 @@
 """Declarative multi-stage AC optimal power flow with storage, in receding horizon.
 
-    >>> import opfmodel as om
-    >>> grid = om.Network("one-bus")
-    >>> grid.bus = om.Bus()
-    >>> grid.unit = om.Generator("bus", p=(0, 100), cost=om.Polynomial(0, 20, 0))
-    >>> grid.town = om.Load("bus", p=50)
-    >>> plan = om.MultiStage(grid, horizon=2).solve()
-    >>> plan.status
-    'locally_optimal'
+>>> import opfmodel as om
+>>> grid = om.Network("one-bus")
+>>> grid.bus = om.Bus()
+>>> grid.unit = om.Generator("bus", p=(0, 100), cost=om.Polynomial(0, 20, 0))
+>>> grid.town = om.Load("bus", p=50)
+>>> plan = om.MultiStage(grid, horizon=2).solve()
+>>> plan.status
+'locally_optimal'
 """
 
 from __future__ import annotations

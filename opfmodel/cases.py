@@ -30,9 +30,7 @@ from opfmodel.errors import CaseError, CaseWarning, OpfmodelError
 __all__ = ["read_network", "write_network"]
 
 
-def read_network(
-    path: str | Path, *, default_cost: Cost | None = None, format: str | None = None
-) -> Network:
+def read_network(path: str | Path, *, default_cost: Cost | None = None, format: str | None = None) -> Network:
     """Read a network file.
 
     Buses are named by their number or identifier, generators ``gen1, gen2, ...`` in the order of
@@ -215,7 +213,11 @@ class _Reader:
         return Polynomial(c2, c1, c0)
 
     def _storage(self, record: Mapping[str, Any]) -> None:
-        number = {key: float(value) for key, value in record.items() if isinstance(value, int | float | str) and key not in ("bus", "uid")}
+        number = {
+            key: float(value)
+            for key, value in record.items()
+            if isinstance(value, int | float | str) and key not in ("bus", "uid")
+        }
         losses = [key for key in ("r", "x", "p_loss", "q_loss") if number.get(key)]
         if losses:
             _warn(
@@ -281,7 +283,7 @@ def write_network(network: Network, path: str | Path) -> Path:
     emitted = powerio.emit(module, "matpower")
     for diagnostic in emitted.diagnostics:
         _warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
-    text = emitted.text.replace("mpc = from_ppc", f"mpc = {_identifier(path.stem)}")
+    text = str(emitted.text).replace("mpc = from_ppc", f"mpc = {_identifier(path.stem)}")
     try:
         path.write_text(text + _storage_table(path, network, ids), encoding="utf-8")
     except OSError as error:
@@ -303,7 +305,9 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
     rows = []
     for name, bus in network.of(Bus).items():
         kind = 4 if not bus.in_service else 3 if bus.reference else 2 if name in with_generator else 1
-        rows.append([ids[name], kind, *demand[name], 1, 1.0, 0.0, bus.base_kv or 0.0, 1, bus.vm[1], bus.vm[0]])
+        rows.append(
+            [ids[name], kind, *demand[name], 1, 1.0, 0.0, bus.base_kv or 0.0, 1, bus.vm[1], bus.vm[0]]
+        )
     return rows
 
 

@@ -52,8 +52,8 @@ def catalogue() -> list[Entry]:
         installed = ", ".join(end.solvers()) or "nothing installed"
         summary = f"{_first_line(type(end))} Solves: {end.accepts}. Solvers: {installed}."
         entries.append(Entry("back end", name, origins.get(name, "unknown"), summary))
-    for name, error in broken_back_ends().items():
-        entries.append(Entry("back end", name, origins.get(name, "unknown"), f"BROKEN: {error}", True))
+    for name, reason in broken_back_ends().items():
+        entries.append(Entry("back end", name, origins.get(name, "unknown"), f"BROKEN: {reason}", True))
     return entries
 
 

@@ -130,7 +130,8 @@ def economic_cost(network: Network, data: xr.Dataset, series: Series | None = No
 def losses(network: Network, data: xr.Dataset) -> Array:
     """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
     flows = _Checker(network, data, {}, 0).branch_flows()
-    return np.sum([f.real + t.real for f, t in flows.values()], axis=0) * network.base_mva
+    total: Array = np.sum([f.real + t.real for f, t in flows.values()], axis=0)
+    return total * network.base_mva
 
 
 class _Checker:
@@ -186,19 +187,24 @@ class _Checker:
         if known is None or value > known.value:
             self.report.violations[family] = Violation(family, value, component, float(self.times[worst]))
 
-    def inside(self, family: str, component: str, values: Array, low: Array, high: Array, unit: float) -> None:
+    def inside(
+        self, family: str, component: str, values: Array, low: Array, high: Array, unit: float
+    ) -> None:
         """Check ``low <= values <= high``."""
         self.note(family, component, np.maximum(low - values, values - high), unit)
 
     def bounds(self, component: str, key: str, pair: tuple[float, float]) -> tuple[Array, Array]:
         """Minimum and maximum of a span field over the stages."""
-        return self.declared(component, f"{key}_min", pair[0]), self.declared(component, f"{key}_max", pair[1])
+        return self.declared(component, f"{key}_min", pair[0]), self.declared(
+            component, f"{key}_max", pair[1]
+        )
 
     # Network -----------------------------------------------------------------------------
 
-    def voltage(self, bus: str) -> npt.NDArray[np.complex128]:
+    def voltage(self, bus: str) -> Any:
         """Complex voltage of a bus, p.u."""
-        return self.value("vm", bus) * np.exp(1j * np.deg2rad(self.value("va", bus)))
+        angle = np.deg2rad(self.value("va", bus))
+        return self.value("vm", bus) * (np.cos(angle) + 1j * np.sin(angle))
 
     def check_voltages(self) -> None:
         """Voltage magnitudes lie in their range."""

@@ -29,10 +29,14 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-FILE = Annotated[Path, typer.Argument(help="A network file (MATPOWER .m, PSS/E .raw, ...) or a scenario (.yaml).")]
+FILE = Annotated[
+    Path, typer.Argument(help="A network file (MATPOWER .m, PSS/E .raw, ...) or a scenario (.yaml).")
+]
 SCENARIO = Annotated[Path, typer.Argument(help="A scenario file (.yaml).")]
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-VERBOSE = Annotated[bool, typer.Option("--verbose", "-v", help="Show the solver's iterations on standard error.")]
+VERBOSE = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Show the solver's iterations on standard error.")
+]
 VARIANT = Annotated[str | None, typer.Option(help="A variant of the scenario.")]
 SET = Annotated[
     list[str] | None,
@@ -258,7 +262,7 @@ def _solve(
         changes = {f"controller.{key}": value for key, value in chosen.items() if value is not None}
         scenario = _scenario(file, variant, overrides, changes)
         problem = scenario.problem(verbose)
-        initial: Mapping[str, Any] | None = scenario.initial(problem)
+        initial: Mapping[str, Any] | None = scenario.initial()
     else:
         if variant is not None or overrides:
             raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
@@ -292,7 +296,8 @@ def _scenario(
     overrides: list[str] | None,
     changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     from opfmodel.scenario import load_scenario
 
@@ -334,12 +339,13 @@ def _print_pairs(pairs: Mapping[str, str]) -> None:
 def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
     done = summary["status"] == "done"
     violation = summary["max_violation"]
+    mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
     _print_pairs(
         {
             "scenario": summary["scenario"],
             "status": "done" if done else f"{summary['status']}: {summary['termination']}",
             "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps",
-            "solve time": f"{summary['solve_seconds_mean']:.3f} s mean, {summary['solve_seconds_max']:.3f} s largest",
+            "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
             "iterations": f"{summary['iterations_mean']:.1f} mean",
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
             "results": f"{folder}" if summary["steps"] else "none",

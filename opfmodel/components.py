@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -126,7 +127,9 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
 def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
     if rules["symmetric"] and _is_number(value):
         if not value >= 0:  # type: ignore[operator]
-            raise ComponentError(name, key, value, "a single number stands for (-a, a); it must be at least 0")
+            raise ComponentError(
+                name, key, value, "a single number stands for (-a, a); it must be at least 0"
+            )
         return
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
         raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
@@ -137,7 +140,9 @@ def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) ->
     if low > high:
         raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
     if low == INF or high == -INF:
-        raise ComponentError(name, key, value, "the minimum must be below infinity, the maximum above -infinity")
+        raise ComponentError(
+            name, key, value, "the minimum must be below infinity, the maximum above -infinity"
+        )
     if low < rules["at_least"]:
         raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")
 
@@ -198,8 +203,7 @@ class PiecewiseLinear(Cost):
     @property
     def slopes(self) -> list[float]:
         """Slope of each segment in $/MWh."""
-        pairs = zip(self.points[:-1], self.points[1:], strict=True)
-        return [(c1 - c0) / (p1 - p0) for (p0, c0), (p1, c1) in pairs]
+        return [(c1 - c0) / (p1 - p0) for (p0, c0), (p1, c1) in pairwise(self.points)]
 
     @property
     def segments(self) -> list[tuple[float, float]]:
@@ -217,10 +221,9 @@ class PiecewiseLinear(Cost):
             raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
         if not all(_is_number(v) and math.isfinite(v) for v in values):
             raise ComponentError(name, key, self, "the points must be finite numbers")
-        if any(a[0] >= b[0] for a, b in zip(self.points[:-1], self.points[1:], strict=True)):
+        if any(a[0] >= b[0] for a, b in pairwise(self.points)):
             raise ComponentError(name, key, self, "the points must have increasing MW")
-        slopes = self.slopes
-        for first, second in zip(slopes[:-1], slopes[1:], strict=True):
+        for first, second in pairwise(self.slopes):
             if second < first - 1e-9 * max(1.0, abs(first)):
                 raise ComponentError(
                     name, key, self, f"must be convex: slope {second:g} follows {first:g} $/MWh"
@@ -292,7 +295,9 @@ class Component:
         known = cls.fields()
         for key in values:
             if key not in known:
-                raise ComponentError(name, key, values[key], f"unknown field of a {cls.kind}; {nearest(key, known)}")
+                raise ComponentError(
+                    name, key, values[key], f"unknown field of a {cls.kind}; {nearest(key, known)}"
+                )
         for key, item in known.items():
             if key not in values and item.default is MISSING:
                 raise ComponentError(name, key, None, f"a {cls.kind} needs this field")
@@ -307,7 +312,9 @@ def _plain(item: Field[Any], value: Any) -> Any:
     form = item.metadata["form"]
     if form == "cost" and isinstance(value, Mapping):
         if set(value) == {"points"} and isinstance(value["points"], Sequence):
-            return PiecewiseLinear(tuple(tuple(p) if isinstance(p, Sequence) else (p,) for p in value["points"]))
+            return PiecewiseLinear(
+                tuple(tuple(p) if isinstance(p, Sequence) else (p,) for p in value["points"])
+            )
         if set(value) <= {"c2", "c1", "c0"}:
             return Polynomial(**value)
     if form == "bus" and isinstance(value, int) and not isinstance(value, bool):
@@ -479,7 +486,9 @@ class Storage(Component):
 
     def resolved(self) -> Storage:
         """The storage with its initial energy filled in."""
-        return self if self.initial is not None else replace(self, initial=0.5 * (self.energy_min + self.energy))
+        return (
+            self if self.initial is not None else replace(self, initial=0.5 * (self.energy_min + self.energy))
+        )
 
 
 @dataclass(frozen=True)
@@ -566,7 +575,7 @@ class Network:
         """
         if not isinstance(component, Component):
             raise NetworkError(
-                f"network {self.name!r}: {name} = {component!r} is not a component (Bus, Branch, Generator, ...)"
+                f"network {self.name!r}: {name} = {component!r} is not a component (Bus, Branch, ...)"
             )
         name = str(name)
         if name in self._components:
@@ -583,7 +592,9 @@ class Network:
         old = self[name]
         for key, value in changes.items():
             if key not in old.fields():
-                raise ComponentError(name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}")
+                raise ComponentError(
+                    name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}"
+                )
         new = replace(old, **{k: _plain(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check(name)
         self._components[name] = new

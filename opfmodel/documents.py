@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
 from opfmodel.errors import ScenarioError
 
 __all__ = ["Document", "read_document"]
@@ -58,7 +60,9 @@ def read_document(path: str | Path) -> Document:
     path = Path(path)
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise ScenarioError(f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; put series into data files")
+            raise ScenarioError(
+                f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; put series into data files"
+            )
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ScenarioError(f"{path}: there is no such file") from None
@@ -87,16 +91,19 @@ class _Plain:
         self.count = 0
 
     def convert(self, node: Any, key: Key) -> Any:
+        """The plain value of a node at a path of keys."""
         self.count += 1
         if self.count > _MOST_VALUES:
             raise ScenarioError(f"{self.path}: expands to more than {_MOST_VALUES} values; too many aliases?")
         tag = getattr(getattr(node, "tag", None), "value", None)
         if tag is not None and str(tag).removeprefix("tag:yaml.org,2002:") not in _TAGS:
             line, column = self.positions.get(key, (1, 1))
-            raise ScenarioError(f"{self.path}:{line}:{column}: the tag {tag} is not accepted; plain data only")
-        if isinstance(node, Mapping):
+            raise ScenarioError(
+                f"{self.path}:{line}:{column}: the tag {tag} is not accepted; plain data only"
+            )
+        if isinstance(node, CommentedMap):
             return {str(k): self._child(node, k, (*key, str(k)), node.lc.key) for k in node}
-        if isinstance(node, list):
+        if isinstance(node, CommentedSeq):
             return [self._child(node, i, (*key, i), node.lc.item) for i in range(len(node))]
         return _scalar(node)
 

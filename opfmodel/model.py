@@ -19,7 +19,17 @@ from opfmodel.errors import ModelError, nearest
 from opfmodel.network import PerUnitNetwork, Table
 from solvers import Expression, ProgramBuilder, Rows, Sum
 
-__all__ = ["Bound", "BoundSource", "Device", "Model", "NumericStage", "Published", "Quantities", "Stage", "State"]
+__all__ = [
+    "Bound",
+    "BoundSource",
+    "Device",
+    "Model",
+    "NumericStage",
+    "Published",
+    "Quantities",
+    "Stage",
+    "State",
+]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -99,7 +109,7 @@ class Device:
         """Declare variables, limits, injections and coupling in time for all components of the kind."""
         raise NotImplementedError
 
-    def cost(self, stage: Stage) -> Any:
+    def cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
         """Operating cost in $/h, one value per stage, or None. Works on symbols and on numbers."""
         return None
 
@@ -303,10 +313,10 @@ class Model:
         The points at the start of each stage are published as ``name``, those at its end as
         ``name_next``.
         """
-        values = self.variable(
-            kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False
+        values = self.variable(kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False)
+        self.publish(
+            kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage"
         )
-        self.publish(kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage")
         self.publish(kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at its end")
         self.states[name] = State(name, kind, unit, "stock", initial)
         return values
@@ -341,9 +351,7 @@ class Model:
         if q is not None and q.items and self.balance_q is not None:
             self.build.add(q, into=self.balance_q[rows])
 
-    def publish(
-        self, kind: str, name: str, values: Expression, *, unit: str, description: str = ""
-    ) -> None:
+    def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity, so that objectives and constraints can use it and plans report it."""
         if name in self.published:
             raise ModelError(f"two quantities are named {name!r}")

@@ -136,7 +136,14 @@ class PerUnitNetwork:
         """Two-port admittances of all branches."""
         t = self.branch
         return branch_admittance(
-            t.r, t.x, t.g / 2 + t.g_from, t.b / 2 + t.b_from, t.g / 2 + t.g_to, t.b / 2 + t.b_to, t.tap, t.shift
+            t.r,
+            t.x,
+            t.g / 2 + t.g_from,
+            t.b / 2 + t.b_from,
+            t.g / 2 + t.g_to,
+            t.b / 2 + t.b_to,
+            t.tap,
+            t.shift,
         )
 
     def at_buses(self, kind: str, values: Array) -> Array:
@@ -199,10 +206,15 @@ def per_unit(network: Network) -> PerUnitNetwork:
     kinds = dict.fromkeys((*_BUILT_IN, *network.kinds()))
     position = {b: i for i, b in enumerate(names)}
     tables = {
-        kind.kind: _table(kind, {n: c for n, c in kept.items() if type(c) is kind}, position, network.base_mva)
+        kind.kind: _table(
+            kind, {n: c for n, c in kept.items() if type(c) is kind}, position, network.base_mva
+        )
         for kind in kinds
     }
-    islands = sorted((sorted(i, key=position.__getitem__) for i in nx.connected_components(graph)), key=lambda i: position[i[0]])
+    islands = sorted(
+        (sorted(i, key=position.__getitem__) for i in nx.connected_components(graph)),
+        key=lambda i: position[i[0]],
+    )
     if len(islands) > 1:
         notes.append(f"{len(islands)} islands, each with its own reference bus")
     island = np.zeros(len(names), dtype=np.intp)

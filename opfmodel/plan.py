@@ -284,12 +284,18 @@ class MultiStage:
         numbers = _Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
-            raise ModelError(f"initial: no state is named {next(iter(states))!r}; states: {', '.join(model.states)}")
+            raise ModelError(
+                f"initial: no state is named {next(iter(states))!r}; states: {', '.join(model.states)}"
+            )
         for state in model.states.values():
             table = network.tables[state.kind]
             if initial is not None and state.name in initial:
                 given = initial[state.name]
-                values = None if given is None else np.asarray(given, dtype=float) / scale(state.unit, table.base_mva)
+                values = (
+                    None
+                    if given is None
+                    else np.asarray(given, dtype=float) / scale(state.unit, table.base_mva)
+                )
             else:
                 values = table.arrays[state.initial] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
@@ -403,8 +409,10 @@ class _PhysicalQuantities:
         table = self._model.network.tables[self._kind]
         published = self._model.published.get(name)
         unit = published.unit if published is not None else table.units.get(name, "")
-        return value if name in table.arrays and table.arrays[name].dtype.kind != "f" else value * scale(
-            unit, table.base_mva
+        return (
+            value
+            if name in table.arrays and table.arrays[name].dtype.kind != "f"
+            else value * scale(unit, table.base_mva)
         )
 
 
@@ -469,7 +477,7 @@ class Plan:
 
     @property
     def status(self) -> str:
-        """``globally_optimal``, ``locally_optimal``, ``proven_infeasible``, ``locally_infeasible`` or ``stopped``."""
+        """``globally_optimal``, ``locally_optimal``, ``*_infeasible`` or ``stopped``."""
         return status_word(self.solution.status)
 
     @property
@@ -544,7 +552,8 @@ class Plan:
     @property
     def times(self) -> Array:
         """Hours at which the stages begin."""
-        return (self.time + np.arange(self.problem.horizon)) * self.problem.step
+        stages = np.arange(self.problem.horizon, dtype=float)
+        return (self.time + stages) * self.problem.step
 
 
 def status_word(status: SolutionStatus) -> str:

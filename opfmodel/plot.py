@@ -22,45 +22,43 @@ _WIDTH = 7.2  # inches: the text width of a page
 _MOST_LINES = 7
 
 
-def system(data: xr.Dataset) -> Figure:
-    """Sums over the system: demand, generation, storage power and losses; stored energy; cost."""
-    rows = 2 + ("e" in data) if "cost_rate" in data else 1 + ("e" in data)
-    figure, axes = _figure(rows, data)
-    power = axes[0]
-    generation, drawn = _total(data, "pg"), _total(data, "pd")
-    stored = _total(data, "ps")
-    losses = generation - drawn - stored
-    for values, label, colour, style in (
-        (drawn, "demand", _COLOURS[6], "-."),
-        (generation, "generation", _COLOURS[0], "-"),
-        (stored, "storage (charging > 0)", _COLOURS[1], "--"),
-        (losses, "losses", _COLOURS[4], "-"),
-    ):
-        _steps(power, data, values, label=label, color=colour, linestyle=style)
+def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - as the others
+    """Sums over the system: demand and generation, storage power and losses, energy, cost."""
+    stored = "e" in data
+    figure, axes = _figure(2 + stored + ("cost_rate" in data))
+    panels = iter(axes)
+    generation, drawn, charging = (_total(data, name) for name in ("pg", "pd", "ps"))
+    power, rest = next(panels), next(panels)
+    _steps(power, data, drawn, label="demand", color=_COLOURS[6], linestyle="-.")
+    _steps(power, data, generation, label="generation", color=_COLOURS[0])
     power.set_ylabel("power [MW]")
-    _legend(power, 4)
-    used = 1
-    if "e" in data:
-        _line(axes[used], data, _total(data, "e"), color=_COLOURS[2], label="stored energy")
-        axes[used].set_ylabel("energy [MWh]")
-        used += 1
+    if stored:
+        _steps(rest, data, charging, label="storage (charging > 0)", color=_COLOURS[1], linestyle="--")
+    _steps(rest, data, generation - drawn - charging, label="losses", color=_COLOURS[4])
+    rest.set_ylabel("power [MW]")
+    if stored:
+        axis = next(panels)
+        _line(axis, data, _total(data, "e"), label="stored energy", color=_COLOURS[2])
+        axis.set_ylabel("energy [MWh]")
     if "cost_rate" in data:
-        _steps(axes[used], data, data["cost_rate"].values, color=_COLOURS[3])
-        axes[used].set_ylabel("cost [$/h]")
+        axis = next(panels)
+        _steps(axis, data, data["cost_rate"].values, label="cost", color=_COLOURS[3])
+        axis.set_ylabel("cost [$/h]")
+    _legend(figure)
     return figure
 
 
 def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     """Active (solid) and reactive (dashed) demand of some buses, and the sum of all."""
-    figure, axes = _figure(2, data)
+    figure, axes = _figure(2)
     for number, bus in enumerate(_buses(data, names)):
         colour = _COLOURS[number % len(_COLOURS)]
         _steps(axes[0], data, data["pd"].sel(bus=bus).values, label=f"bus {bus}", color=colour)
         _steps(axes[0], data, data["qd"].sel(bus=bus).values, color=colour, linestyle="--")
     axes[0].set_ylabel("demand [MW], [MVAr]")
-    _legend(axes[0], _MOST_LINES)
-    _steps(axes[1], data, _total(data, "pd"), color=_COLOURS[6], linestyle="-.")
+    _steps(axes[1], data, _total(data, "pd"), label="all buses", color=_COLOURS[6], linestyle="-.")
     axes[1].set_ylabel("total demand [MW]")
+    _legend(figure)
     return figure
 
 
@@ -78,7 +76,7 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
         ("storage", ("e",), "energy [MWh]"),
     ]
     panels = [panel for panel in panels if panel[1][0] in data]
-    figure, axes = _figure(len(panels), data)
+    figure, axes = _figure(len(panels))
     for axis, (kind, quantities, label) in zip(axes, panels, strict=True):
         for number, bus in enumerate(chosen):
             for quantity, style in zip(quantities, ("-", "--"), strict=False):
@@ -86,9 +84,16 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
                 if values is not None:
                     draw = _line if quantity == "e" else _steps
                     name = f"bus {bus}" if style == "-" else None
-                    draw(axis, data, values, label=name, color=_COLOURS[number % len(_COLOURS)], linestyle=style)
+                    draw(
+                        axis,
+                        data,
+                        values,
+                        label=name,
+                        color=_COLOURS[number % len(_COLOURS)],
+                        linestyle=style,
+                    )
         axis.set_ylabel(label)
-    _legend(axes[0] if len(_lines(axes[0])) == len(chosen) else axes[-1], _MOST_LINES)
+    _legend(figure)
     return figure
 
 
@@ -115,7 +120,7 @@ def save_figures(
     """
     written = []
     for name in figures:
-        figure = system(data) if name == "system" else FIGURES[name](data, names)  # type: ignore[operator]
+        figure = FIGURES[name](data, names)
         figure.suptitle(f"{data.attrs.get('network', '')}: {name}")
         for suffix in ("pdf", "png"):
             path = folder / f"{name}.{suffix}"
@@ -128,7 +133,7 @@ def save_figures(
     return written
 
 
-def _figure(rows: int, data: xr.Dataset) -> tuple[Figure, list[Any]]:
+def _figure(rows: int) -> tuple[Figure, list[Any]]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, 1.0 + 1.55 * rows), layout="constrained")
@@ -190,11 +195,19 @@ def _buses(data: xr.Dataset, names: Sequence[str] | None) -> list[str]:
     return sorted(sorted(known, key=lambda b: -weight[b])[:4], key=known.index)
 
 
-def _lines(axis: Any) -> list[str]:
-    return [label for label in axis.get_legend_handles_labels()[1] if label]
-
-
-def _legend(axis: Any, columns: int) -> None:
-    count = len(_lines(axis))
-    if count:
-        axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(count, columns), fontsize=8, frameon=False)
+def _legend(figure: Figure) -> None:
+    """One legend above all panels, each label once."""
+    known: dict[str, Any] = {}
+    for axis in figure.axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            known.setdefault(label, handle)
+    if known:
+        columns = min(len(known), _MOST_LINES)
+        figure.legend(
+            list(known.values()),
+            list(known),
+            loc="outside upper center",
+            ncols=columns,
+            fontsize=8,
+            frameon=False,
+        )

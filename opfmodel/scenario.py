@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -136,7 +135,7 @@ class Scenario:
             verbose=verbose,
         )
 
-    def initial(self, problem: MultiStage) -> dict[str, npt.NDArray[np.float64]] | None:
+    def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
         """The dispatch that the first problem starts from, in physical units; None leaves it free.
 
         Raises
@@ -168,9 +167,12 @@ class Scenario:
     def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
         """Run the closed loop of the scenario."""
         problem = self.problem(verbose)
-        initial = self.initial(problem)
         return simulate(
-            Controller(problem), steps=self.steps, initial=initial, objective=self.cost, progress=progress
+            Controller(problem),
+            steps=self.steps,
+            initial=self.initial(),
+            objective=self.cost,
+            progress=progress,
         )
 
 
@@ -355,7 +357,9 @@ class _Declarations:
             raise self.document.error(("network", section), "must be a mapping from names to fields")
         for name, fields in members.items():
             if not isinstance(fields, dict):
-                raise self.document.error(("network", section, name), "must be a mapping from fields to values")
+                raise self.document.error(
+                    ("network", section, name), "must be a mapping from fields to values"
+                )
             yield name, fields
 
     def _declare(self, network: Network, kind: type[Component], name: str, fields: dict[str, Any]) -> None:
@@ -368,7 +372,9 @@ class _Declarations:
                 raise ComponentError(name, "bus", "*", "for one at every bus the name needs a * too: 'cell*'")
             for bus in network.of(Bus):
                 member = name.replace("*", bus)
-                network.add(member, kind.from_mapping(member, self._shares(kind, name, {**fields, "bus": bus})))
+                network.add(
+                    member, kind.from_mapping(member, self._shares(kind, name, {**fields, "bus": bus}))
+                )
 
     def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
         """Change fields of one component, or of all whose names match a pattern."""
@@ -422,7 +428,7 @@ _SHARE = re.compile(r"\s*([0-9.]+)\s*%\s*of\s+(\w+)\s*")
 
 def component_kinds() -> list[type[Component]]:
     """Classes of components that a scenario can declare: the built-in ones and those of devices."""
-    built_in = [
+    built_in: list[type[Component]] = [
         components.Bus,
         components.Branch,
         components.Generator,
@@ -468,7 +474,9 @@ def _objective(document: Document, key: tuple[str | int, ...], spec: Spec) -> Ob
     return WeightedSum(parts)
 
 
-def _single(document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]) -> tuple[str, dict[str, Any]]:
+def _single(
+    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]
+) -> tuple[str, dict[str, Any]]:
     """Name and options of a plugin: ``name`` or ``{name: {option: value}}``."""
     if isinstance(spec, str):
         return spec, {}

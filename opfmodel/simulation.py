@@ -108,7 +108,9 @@ class Run:
     build_seconds: float = 0.0
 
     def __repr__(self) -> str:
-        return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {self.cost:.6g} $)"
+        return (
+            f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {self.cost:.6g} $)"
+        )
 
     @cached_property
     def _stage(self) -> NumericStage:
@@ -135,10 +137,8 @@ class Run:
     def data(self) -> xr.Dataset:
         """Realised trajectories in physical units and the effort of each step."""
         stage, described = self._stage, self.problem.described
-        quantities = {
-            name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values
-        }
-        made = dataset(stage.network, quantities, np.arange(len(self.steps)) * self.problem.step)
+        quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
+        made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
         made["cost_rate"] = ("time", self.cost_rate, {"units": "$/h", "long_name": "stage cost"})
         for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
             values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)

@@ -8,7 +8,6 @@ expression graph: the graph of a template is small, and the rest is index arrays
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -90,14 +89,15 @@ class Assembly:
         """``(x, p) -> (s, sparse Jacobian of s)``, the stacked values of all cones."""
         placements, size = self.program.cone_values, self.program.n_cone_values
         matrix = self._jacobian(placements, size)
-        return ca.Function("cone_values", [self._x, self._p], [self._scatter(placements, size), matrix.expression])
+        return ca.Function(
+            "cone_values", [self._x, self._p], [self._scatter(placements, size), matrix.expression]
+        )
 
     @cached_property
     def outputs(self) -> Any:
         """``(x, p) -> one vector per output``, in the order of the program's outputs."""
         values = [
-            ca.vec(self._map(o.placement.template.value, o.placement))
-            for o in self.program.outputs.values()
+            ca.vec(self._map(o.placement.template.value, o.placement)) for o in self.program.outputs.values()
         ]
         return ca.Function("outputs", [self._x, self._p], values)
 

@@ -144,8 +144,8 @@ class ProgramBuilder:
             return
         expressions = [what] if isinstance(what, Expression) else list(what)
         rows = [into] if isinstance(into, Rows) else list(into)
-        name = "+".join(dict.fromkeys(r.name for r in rows))  # type: ignore[union-attr]
-        index = [r.index for r in rows]  # type: ignore[union-attr]
+        name = "+".join(dict.fromkeys(r.name for r in rows))
+        index = [r.index for r in rows]
         self._constraints.append(self._place(name, expressions, index))
 
     def minimize(self, cost: Expression | Sum) -> None:
@@ -248,9 +248,7 @@ class ProgramBuilder:
         blocks[name] = block
         return block
 
-    def _place(
-        self, name: str, expressions: Sequence[Expression], into: Sequence[Index] | None
-    ) -> Placement:
+    def _place(self, name: str, expressions: Sequence[Expression], into: Sequence[Index] | None) -> Placement:
         """Turn expressions into one template and the places where it is used."""
         shape = np.broadcast_shapes(*(e.shape for e in expressions), *(i.shape for i in into or ()))
         leaves: dict[str, Leaf] = {}
@@ -288,8 +286,13 @@ class ProgramBuilder:
             values = np.asarray(leaf.source, dtype=float)
             name = f"data {len(self._data) + 1}"
             self._data[key] = self._block(
-                self._parameters, name, *values.shape, -np.inf, np.inf, values, fixed=True
+                self._parameters,
+                name,
+                values.shape[0],
+                values.shape[1],
+                -np.inf,
+                np.inf,
+                values,
+                fixed=True,
             )
         return self._data[key]
-
-

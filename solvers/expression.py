@@ -104,7 +104,7 @@ class Expression:
         old, new, leaves = [], [], {}
         shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape
         for leaf in self.leaves.values():
-            source = np.broadcast_to(leaf.source, self.shape)[rows][:, columns]
+            source: Any = np.broadcast_to(leaf.source, self.shape)[rows][:, columns]
             moved = _leaf(self.builder, leaf.kind, source)
             leaves[moved.symbol.name()] = moved
             old.append(leaf.symbol)
@@ -140,34 +140,34 @@ class Expression:
         return Expression(self.builder, formula, leaves, (shape[0], shape[1]))
 
     def __add__(self, other: Any) -> Any:
-        return NotImplemented if isinstance(other, Sum) else np.add(self, other)
+        return NotImplemented if isinstance(other, Sum) else self._combine(_UFUNCS[np.add], self, other)
 
     def __radd__(self, other: Any) -> Any:
-        return np.add(other, self)
+        return self._combine(_UFUNCS[np.add], other, self)
 
     def __sub__(self, other: Any) -> Any:
-        return NotImplemented if isinstance(other, Sum) else np.subtract(self, other)
+        return NotImplemented if isinstance(other, Sum) else self._combine(_UFUNCS[np.subtract], self, other)
 
     def __rsub__(self, other: Any) -> Any:
-        return np.subtract(other, self)
+        return self._combine(_UFUNCS[np.subtract], other, self)
 
     def __mul__(self, other: Any) -> Any:
-        return np.multiply(self, other)
+        return self._combine(_UFUNCS[np.multiply], self, other)
 
     def __rmul__(self, other: Any) -> Any:
-        return np.multiply(other, self)
+        return self._combine(_UFUNCS[np.multiply], other, self)
 
     def __truediv__(self, other: Any) -> Any:
-        return np.true_divide(self, other)
+        return self._combine(_UFUNCS[np.true_divide], self, other)
 
     def __rtruediv__(self, other: Any) -> Any:
-        return np.true_divide(other, self)
+        return self._combine(_UFUNCS[np.true_divide], other, self)
 
     def __pow__(self, other: Any) -> Any:
-        return np.power(self, other)
+        return self._combine(_UFUNCS[np.power], self, other)
 
     def __neg__(self) -> Any:
-        return np.negative(self)
+        return self._combine(_UFUNCS[np.negative], self)
 
     def __pos__(self) -> Any:
         return self
@@ -223,7 +223,7 @@ class Sum:
         return Sum(self.terms + self._other(other))
 
     def __radd__(self, other: Any) -> Sum:
-        return self + other
+        return self.__add__(other)
 
     def __neg__(self) -> Sum:
         return Sum(tuple(-term for term in self.terms))
@@ -232,7 +232,7 @@ class Sum:
         return Sum(self.terms + tuple(-term for term in self._other(other)))
 
     def __rsub__(self, other: Any) -> Sum:
-        return -self + other
+        return (-self).__add__(other)
 
     def __mul__(self, other: Any) -> Sum:
         if isinstance(other, Sum | Expression):
@@ -242,10 +242,10 @@ class Sum:
         return Sum(tuple(term * factor for term in self.terms))
 
     def __rmul__(self, other: Any) -> Sum:
-        return self * other
+        return self.__mul__(other)
 
     def __truediv__(self, other: Any) -> Sum:
-        return self * (1.0 / np.asarray(other, dtype=float))
+        return self.__mul__(1.0 / np.asarray(other, dtype=float))
 
     def __pow__(self, other: Any) -> Sum:
         raise ProgramError(
@@ -358,8 +358,7 @@ def reference(builder: ProgramBuilder, kind: LeafKind, index: Index) -> Expressi
 
 def _leaf(builder: ProgramBuilder, kind: LeafKind, source: Index | Array) -> Leaf:
     """A leaf whose symbol is the same object whenever the source is the same, so that x - x is 0."""
-    source = np.ascontiguousarray(source)
-    digest = hashlib.blake2b(source.tobytes(), digest_size=8).hexdigest()
+    digest = hashlib.blake2b(np.ascontiguousarray(source).tobytes(), digest_size=8).hexdigest()
     name = f"{kind}_{source.shape[0]}_{source.shape[1]}_{digest}"
     if name not in builder.symbols:
         builder.symbols[name] = ca.SX.sym(name)

@@ -87,8 +87,7 @@ class Block:
             array = np.broadcast_to(array, self.shape)
         except ValueError:
             raise ProgramError(
-                f"block {self.name!r} takes values of shape {self.shape} (items, stages), "
-                f"not {array.shape}"
+                f"block {self.name!r} takes values of shape {self.shape} (items, stages), not {array.shape}"
             ) from None
         if np.isnan(array).any():
             item, stage = (int(i) for i in np.argwhere(np.isnan(array))[0])
@@ -220,7 +219,8 @@ class Program:
     @cached_property
     def fixed_parameters(self) -> npt.NDArray[np.bool_]:
         """Which entries of ``p`` are data that no instance may change."""
-        return _concatenate([np.full(b.size, b.fixed) for b in self.parameters.values()], bool)
+        flags = [np.full(b.size, b.fixed) for b in self.parameters.values()]
+        return np.concatenate([*flags, np.zeros(0, dtype=bool)])
 
     @cached_property
     def default(self) -> Instance:
@@ -303,9 +303,5 @@ def _check_order(blocks: Iterable[Block], lower: Array, upper: Array) -> None:
 
 
 def _join(blocks: Iterable[Block], attribute: str) -> Array:
-    parts = [getattr(b, attribute).ravel(order="F") for b in blocks]
-    return np.asarray(_concatenate(parts, float), dtype=np.float64)
-
-
-def _concatenate(parts: list[npt.NDArray[np.generic]], dtype: type) -> npt.NDArray[np.generic]:
-    return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)
+    parts: list[Array] = [getattr(b, attribute).ravel(order="F") for b in blocks]
+    return np.concatenate([*parts, np.zeros(0)])

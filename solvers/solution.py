@@ -109,7 +109,12 @@ class Solution:
     def primal_residual(self) -> float:
         """Largest violation of a bound, row or cone."""
         at = self.instance
-        violations = [at.lower - self.x, self.x - at.upper, at.row_lower - self.rows, self.rows - at.row_upper]
+        violations = [
+            at.lower - self.x,
+            self.x - at.upper,
+            at.row_lower - self.rows,
+            self.rows - at.row_upper,
+        ]
         for cone in self.program.cones.values():
             values = cone.read(self.cones)
             violations.append(np.linalg.norm(values[1:], axis=0) - values[0])

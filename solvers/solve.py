@@ -159,7 +159,7 @@ def prepare(
     return end.prepare(program, solver_name, dict(options or {}), verbose)
 
 
-def choose(kind: Kind) -> str:
+def choose(kind: Kind) -> str:  # noqa: ARG001 - one back end so far
     """The back end that ``"auto"`` stands for."""
     return "ipopt"
 

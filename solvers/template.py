@@ -51,11 +51,7 @@ class Template:
         self.parameters = ca.SX(parameters)
         self.outputs = ca.densify(ca.SX(outputs))
         known = ca.vertcat(self.variables, self.parameters)
-        stray = [
-            str(s)
-            for s in ca.symvar(self.outputs)
-            if known.is_empty() or not ca.depends_on(known, s)
-        ]
+        stray = [str(s) for s in ca.symvar(self.outputs) if known.is_empty() or not ca.depends_on(known, s)]
         if stray:
             raise ProgramError(
                 f"template {name!r} uses {', '.join(stray)}, "

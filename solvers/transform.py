@@ -74,9 +74,7 @@ def smooth(program: Program) -> Smooth:
         for suffix, output in squares:
             name = _sign_name(cone.name) if suffix else cone.name
             shape = (cone.items, cone.stages)
-            block = Block(
-                name, *shape, offset, np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
-            )
+            block = Block(name, *shape, offset, np.zeros(shape), np.full(shape, np.inf), np.zeros(shape))
             offset += block.size
             rows[name] = block
             constraints.append(
@@ -88,9 +86,7 @@ def smooth(program: Program) -> Smooth:
                     name,
                 )
             )
-    lowered = replace(
-        program, rows=rows, constraints=tuple(constraints), cones={}, cone_values=()
-    )
+    lowered = replace(program, rows=rows, constraints=tuple(constraints), cones={}, cone_values=())
     return Smooth(program, lowered)
 
 

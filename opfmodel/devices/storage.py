@@ -33,13 +33,17 @@ class StorageDevice(Device):
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``ps``, ``qs`` and ``e``."""
         n, step = len(table), model.step
-        ps = model.variable("storage", "ps", "power_min", "power_max", unit="MW", description="charging power")
+        ps = model.variable(
+            "storage", "ps", "power_min", "power_max", unit="MW", description="charging power"
+        )
         e = model.stock(
             "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
         )
         qs = None
         if model.reactive:
-            qs = model.variable("storage", "qs", "q_min", "q_max", unit="MVAr", description="reactive power drawn")
+            qs = model.variable(
+                "storage", "qs", "q_min", "q_max", unit="MVAr", description="reactive power drawn"
+            )
         model.inject(table.bus, p=-ps, q=None if qs is None else -qs)
         if not n:
             return

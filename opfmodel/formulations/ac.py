@@ -32,7 +32,9 @@ class AC(Formulation):
         network = model.network
         bus, branch = network.bus, network.branch
         start = np.clip(1.0, bus.vm_min, bus.vm_max)
-        vm = model.variable("bus", "vm", "vm_min", "vm_max", unit="p.u.", start=start, description="voltage magnitude")
+        vm = model.variable(
+            "bus", "vm", "vm_min", "vm_max", unit="p.u.", start=start, description="voltage magnitude"
+        )
         free = np.full(len(bus), np.inf)
         free[network.reference] = 0.0
         va = model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")

@@ -78,11 +78,12 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
         if limited:
 
             def square(table: Table, members: Index = members) -> npt.NDArray[np.float64]:
-                return np.square(table.rating[members])
+                rating: npt.NDArray[np.float64] = table.rating
+                return rating[members] ** 2
 
-            for name, p, q in (("rating_from", *flows[:2]), ("rating_to", *flows[2:])):
+            for name, power in (("rating_from", flows[:2]), ("rating_to", flows[2:])):
                 rows.append(model.limit("branch", name, members.size, -np.inf, square))
-                terms.append(p**2 + q**2)
+                terms.append(power[0] ** 2 + power[1] ** 2)
         model.build.add(terms, into=rows)
 
 

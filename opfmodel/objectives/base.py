@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 from opfmodel.model import Stage
 
@@ -25,7 +25,7 @@ class Objective:
         the problem well posed. It never counts in a reported cost.
     """
 
-    needs: ClassVar[tuple[str, ...]] | tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     regularisation: float = 0.0
 
     def stage_cost(self, stage: Stage) -> Any:
@@ -36,7 +36,7 @@ class Objective:
         """
         raise NotImplementedError
 
-    def terminal_cost(self, stage: Stage) -> Any:
+    def terminal_cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
         """Cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
         return None
 
@@ -61,10 +61,12 @@ class WeightedSum(Objective):
         flat: list[tuple[float, Objective]] = []
         for weight, part in parts:
             if not isinstance(weight, int | float) or not 0 <= weight < float("inf"):
-                raise ModelError(f"weight of {type(part).__name__} = {weight!r}: must be a number, at least 0")
+                raise ModelError(
+                    f"weight of {type(part).__name__} = {weight!r}: must be a number, at least 0"
+                )
             nested = part.parts if isinstance(part, WeightedSum) else [(1.0, part)]
             flat += [(float(weight) * w, p) for w, p in nested]
-        self.parts = flat
+        self.parts: list[tuple[float, Objective]] = flat
         self.needs = tuple(dict.fromkeys(name for _, part in flat for name in part.needs))
         self.regularisation = max((part.regularisation for _, part in flat), default=0.0)
 

@@ -72,7 +72,11 @@ class Profiles:
 
     def fields(self, network: PerUnitNetwork) -> set[tuple[str, str]]:
         """The ``(kind, field)`` pairs of which some component has a series."""
-        return {(self._find(network, name)[0], key) for name, key in self.series if self._in_service(network, name)}
+        return {
+            (self._find(network, name)[0], key)
+            for name, key in self.series
+            if self._in_service(network, name)
+        }
 
     def check(self, network: Network, arrays: PerUnitNetwork) -> None:
         """Raise :class:`ProfileError` if a series names no component, or no field of it."""
@@ -82,7 +86,9 @@ class Profiles:
             kind = network[name].kind
             numeric = [f for f, unit in arrays.tables[kind].units.items() if not f.startswith("segment_")]
             if key not in numeric:
-                raise ProfileError(f"profile '{name}.{key}': a {kind} has no such field; {nearest(key, numeric)}")
+                raise ProfileError(
+                    f"profile '{name}.{key}': a {kind} has no such field; {nearest(key, numeric)}"
+                )
 
     def window(self, network: PerUnitNetwork, start: int, stages: int) -> dict[tuple[str, str], Array]:
         """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the steps from ``start``.

@@ -48,7 +48,7 @@ class Step(ProfileRule):
         for load in book.loads(self.loads):
             p, q = book.get(load, "p").copy(), book.get(load, "q").copy()
             window = slice(self.first, self.last + 1)
-            if self.factor is not None:
+            if self.add is None:
                 factor = np.full_like(p[window], self.factor)
             elif (p[window] == 0).any():
                 raise ProfileError(f"load {load!r} has no active demand, and so no power factor to keep")

@@ -76,9 +76,7 @@ class Ipopt:
         others = ("sqpmethod", "fatrop", "blocksqp", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
         return [name for name in ("ipopt", *others) if ca.has_nlpsol(name)]
 
-    def prepare(
-        self, program: Program, solver: str, options: dict[str, Any], verbose: bool
-    ) -> IpoptSession:
+    def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> IpoptSession:
         """Assemble the functions of ``program``; the solver itself is made at the first solve."""
         return IpoptSession(program, solver, options, verbose)
 
