@@ -7,7 +7,7 @@
 >>> grid.town = om.Load("bus", p=50)
 >>> plan = om.MultiStage(grid, horizon=2).solve()
 >>> plan.status
-'locally_optimal'
+'globally_optimal'
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -252,7 +253,7 @@ class Component:
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks its rule. Subclasses add rules of their own."""
-        for item in fields(self):  # type: ignore[arg-type]
+        for item in self.fields().values():
             value = getattr(self, item.name)
             form = item.metadata["form"]
             if form == "number":
@@ -279,9 +280,21 @@ class Component:
         return self
 
     @classmethod
-    def fields(cls) -> dict[str, Field[Any]]:
+    @cache
+    def fields(cls) -> Mapping[str, Field[Any]]:
         """The fields by name."""
         return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    @cache
+    def bus_fields(cls) -> tuple[str, ...]:
+        """Names of the fields that name a bus."""
+        return tuple(name for name, item in cls.fields().items() if item.metadata["form"] == "bus")
+
+    @property
+    def buses(self) -> tuple[str, ...]:
+        """Names of the buses that it is connected to."""
+        return tuple(getattr(self, name) for name in self.bus_fields())
 
     @classmethod
     def from_mapping(cls, name: str, values: Mapping[str, Any]) -> Self:

@@ -182,25 +182,27 @@ def per_unit(network: Network) -> PerUnitNetwork:
     """
     notes: list[str] = []
     _check_buses(network)
-    buses = {n: b for n, b in network.of(components.Bus).items() if b.in_service}
+    every_bus = network.of(components.Bus)
+    buses = {name: bus for name, bus in every_bus.items() if bus.in_service}
     kept = {
         name: component
         for name, component in ((n, network[n]) for n in network)
-        if component.in_service and all(bus in buses for bus in _buses_of(component))
+        if component.in_service and all(bus in buses for bus in component.buses)
     }
-    dropped = [n for n in network if n not in kept and n not in network.of(components.Bus)]
+    dropped = [n for n in network if n not in kept and n not in every_bus]
     if dropped:
         notes.append(f"out of service, left out: {_listing(dropped)}")
     graph = nx.Graph()
     graph.add_nodes_from(buses)
-    graph.add_edges_from(_buses_of(c) for c in kept.values() if isinstance(c, components.Branch))
-    occupied = {bus for c in kept.values() if not isinstance(c, components.Bus) for bus in _buses_of(c)}
+    graph.add_edges_from(c.buses for c in kept.values() if isinstance(c, components.Branch))
+    occupied = {bus for c in kept.values() if not isinstance(c, components.Bus) for bus in c.buses}
     isolated = [b for b in buses if b not in occupied and len(buses) > 1]
     if isolated:
         notes.append(f"isolated buses with nothing connected, left out: {_listing(isolated)}")
         graph.remove_nodes_from(isolated)
-    kept = {n: c for n, c in kept.items() if n not in isolated}
-    names = [b for b in buses if b not in isolated]
+    lonely = set(isolated)
+    kept = {n: c for n, c in kept.items() if n not in lonely}
+    names = [b for b in buses if b not in lonely]
     if not names:
         raise NetworkError(f"network {network.name!r} has no bus in service")
     kinds = dict.fromkeys((*_BUILT_IN, *network.kinds()))
@@ -228,19 +230,13 @@ def per_unit(network: Network) -> PerUnitNetwork:
     return PerUnitNetwork(network.name, network.base_mva, tables, island, reference, tuple(notes))
 
 
-def _buses_of(component: Component) -> tuple[str, ...]:
-    found = [getattr(component, n) for n, f in component.fields().items() if f.metadata["form"] == "bus"]
-    return tuple(found)
-
-
 def _check_buses(network: Network) -> None:
     known = network.of(components.Bus)
     for name in network:
         component = network[name]
-        for key, item in component.fields().items():
-            bus = getattr(component, key)
-            if item.metadata["form"] == "bus" and bus not in known:
-                raise ComponentError(name, key, bus, f"there is no such bus; {nearest(str(bus), known)}")
+        for key, bus in zip(component.bus_fields(), component.buses, strict=True):
+            if bus not in known:
+                raise ComponentError(name, key, bus, f"there is no such bus; {nearest(bus, known)}")
 
 
 def _reference(
@@ -265,9 +261,10 @@ def _table(
 ) -> Table:
     arrays: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
+    resolved = [member.resolved() for member in members.values()]
     for key, item in kind.fields().items():
         form, unit = item.metadata["form"], item.metadata["unit"]
-        values = [getattr(m.resolved(), key) for m in members.values()]
+        values = [getattr(m, key) for m in resolved]
         factor = scale(unit, base_mva)
         if form == "number":
             plain = [np.inf if v is None else v for v in values]

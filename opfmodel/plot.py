@@ -121,7 +121,7 @@ def save_figures(
     written = []
     for name in figures:
         figure = FIGURES[name](data, names)
-        figure.suptitle(f"{data.attrs.get('network', '')}: {name}")
+        figure.axes[0].set_title(f"{data.attrs.get('network', '')}: {name}")
         for suffix in ("pdf", "png"):
             path = folder / f"{name}.{suffix}"
             try:

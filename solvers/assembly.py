@@ -97,7 +97,8 @@ class Assembly:
     def outputs(self) -> Any:
         """``(x, p) -> one vector per output``, in the order of the program's outputs."""
         values = [
-            ca.vec(self._map(o.placement.template.value, o.placement)) for o in self.program.outputs.values()
+            ca.vec(self._map(o.placement.template.value, o.placement)) if o.placement.count else ca.MX(0, 1)
+            for o in self.program.outputs.values()
         ]
         return ca.Function("outputs", [self._x, self._p], values)
 
@@ -111,11 +112,10 @@ class Assembly:
 
     def _scatter(self, placements: Sequence[Placement], size: int) -> Any:
         """Sum of the outputs of all placements, each added where it belongs."""
-        placed = [p for p in placements if p.count]
-        if not placed:
+        if not placements:
             return ca.MX.zeros(size, 1)
-        values = [ca.vec(self._map(p.template.value, p)) for p in placed]
-        target = np.concatenate([p.into.ravel(order="F") for p in placed])
+        values = [ca.vec(self._map(p.template.value, p)) for p in placements]
+        target = np.concatenate([p.into.ravel(order="F") for p in placements])
         return ca.densify(ca.mtimes(_selection(size, target), ca.vertcat(*values)))
 
     # Derivatives -------------------------------------------------------------------------

@@ -146,12 +146,15 @@ class ProgramBuilder:
         rows = [into] if isinstance(into, Rows) else list(into)
         name = "+".join(dict.fromkeys(r.name for r in rows))
         index = [r.index for r in rows]
-        self._constraints.append(self._place(name, expressions, index))
+        placement = self._place(name, expressions, index)
+        if placement.count:
+            self._constraints.append(placement)
 
     def minimize(self, cost: Expression | Sum) -> None:
         """Add the sum of all entries of ``cost`` to the objective."""
-        for term in cost.terms if isinstance(cost, Sum) else (cost,):
-            self._costs.append(self._place(f"cost {len(self._costs) + 1}", [term], None))
+        for term in cost.spread() if isinstance(cost, Sum) else (cost,):
+            if term.items * term.stages:
+                self._costs.append(self._place(f"cost {len(self._costs) + 1}", [term], None))
 
     def constrain(self, name: str, constraint: Constraint) -> Rows:
         """Declare rows for a comparison of expressions or sums and fill them."""

@@ -204,6 +204,13 @@ class Sum:
         """Number of stages."""
         return max(term.stages for term in self.terms)
 
+    def spread(self) -> tuple[Expression, ...]:
+        """The terms, those of a single stage counting in every stage."""
+        return tuple(
+            Expression(term.builder, term.formula, term.leaves, (term.items, self.stages))
+            for term in self.terms
+        )
+
     def _other(self, other: Any) -> tuple[Expression, ...]:
         if isinstance(other, Sum):
             return other.terms

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
@@ -40,7 +40,7 @@ class BackEnd(Protocol):
     name: str
     accepts: Kind
 
-    def solvers(self) -> list[str]:
+    def solvers(self) -> Iterator[str]:
         """Names of the installed solvers it can call, the default first."""
         ...
 
@@ -102,9 +102,9 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
         if rest in ends[prefix].solvers():
             return ends[prefix], rest
     elif name in ends:
-        names = ends[name].solvers()
-        if names:
-            return ends[name], names[0]
+        default = next(ends[name].solvers(), None)
+        if default is not None:
+            return ends[name], default
     else:
         offering = [end for end in ends.values() if name in end.solvers()]
         accepting = [end for end in offering if end.accepts >= kind]

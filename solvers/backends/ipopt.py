@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import casadi as ca
@@ -23,11 +24,12 @@ __all__ = ["Ipopt"]
 _COLD: dict[str, Any] = {
     "tol": 1e-6,
     "constr_viol_tol": 1e-7,
-    "mu_init": 1e-2,
     "mumps_pivot_order": 5,  # METIS
     "mumps_scaling": 0,
     "min_refinement_steps": 0,
 }
+# Coupling in time makes the starting point a better one than a lone stage has.
+_COLD_IN_TIME: dict[str, Any] = {"mu_init": 1e-2}
 _WARM: dict[str, Any] = _COLD | {
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-6,
@@ -71,10 +73,11 @@ class Ipopt:
     name = "ipopt"
     accepts = Kind.NONLINEAR
 
-    def solvers(self) -> list[str]:
-        """IPOPT first, then the other plugins whose libraries are present."""
+    def solvers(self) -> Iterator[str]:
+        """IPOPT first, then the other plugins whose libraries load."""
+        yield "ipopt"
         others = ("sqpmethod", "fatrop", "blocksqp", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
-        return [name for name in ("ipopt", *others) if ca.has_nlpsol(name)]
+        yield from (name for name in others if ca.has_nlpsol(name))
 
     def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> IpoptSession:
         """Assemble the functions of ``program``; the solver itself is made at the first solve."""
@@ -105,13 +108,15 @@ class IpoptSession:
                 "jac_g": self._assembly.jacobian,
                 "hess_lag": self._assembly.hessian,
             }
+            # the plugins that do not take all three want them in other forms, and derive their own
+            given = functions if set(functions) <= set(ca.nlpsol_options(self._plugin)) else {}
             try:
                 self._solvers[warm] = ca.nlpsol(
-                    "solver", self._plugin, self._assembly.oracle, functions | self._plugin_options(warm)
+                    "solver", self._plugin, self._assembly.oracle, given | self._plugin_options(warm)
                 )
             except RuntimeError as error:
                 raise SolverOptionError(
-                    f"{self._plugin} refused its options {self._options or '(defaults)'}: {_last_line(error)}"
+                    f"{self._plugin} refused its options {self._options or '(defaults)'}: {_reason(error)}"
                 ) from error
         return self._solvers[warm]
 
@@ -125,7 +130,10 @@ class IpoptSession:
             own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
             return general | own
         printing = {"print_level": 5} if self._verbose else {"print_level": 0, "sb": "yes"}
-        return general | {"ipopt": (_WARM if warm else _COLD) | printing | self._options}
+        situation = _WARM if warm else _COLD
+        if not warm and any(block.stages > 1 for block in self._program.variables.values()):
+            situation = _COLD | _COLD_IN_TIME
+        return general | {"ipopt": situation | printing | self._options}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve; with the multipliers of an earlier solution the start is a warm one."""
@@ -147,7 +155,7 @@ class IpoptSession:
         try:
             result = solver(**arguments)
         except RuntimeError as error:
-            raise SolverError(f"{self._plugin} failed: {_last_line(error)}") from error
+            raise SolverError(f"{self._plugin} failed: {_reason(error)}") from error
         seconds = time.perf_counter() - began
         return self._solution(instance, result, solver.stats(), seconds)
 
@@ -203,6 +211,10 @@ def _vector(value: Any) -> Array:
     return np.asarray(value, dtype=float).ravel()
 
 
-def _last_line(error: Exception) -> str:
+def _reason(error: Exception) -> str:
+    """The line of CasADi's message that says what is wrong, without its place in CasADi's source."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1] if lines else type(error).__name__
+    telling = [line for line in lines if "option:" in line.lower()] or lines[-1:]
+    return (
+        telling[0].rpartition("cpp:")[2].partition(": ")[2] or telling[0] if telling else type(error).__name__
+    )

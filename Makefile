@@ -1,0 +1,43 @@
+# make run    install, run the economic NMPC of the 5-bus system, save trajectories and a figure
+# make test   install what the tests need and run them
+# make check  style, types, layers
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: run test test-slow check clean
+
+run: .venv/.run
+	$(BIN)/opfmodel run scenarios/case5-step.yaml
+
+test: .venv/.test
+	$(BIN)/python -m pytest -q -m "not slow"
+
+test-slow: .venv/.test
+	$(BIN)/python -m pytest -q -m slow
+
+check: .venv/.check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+clean:
+	rm -rf .venv results
+
+# One environment, filled in steps; each step is repeated only when the metadata change.
+.venv/.made:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "opfmodel needs Python 3.11 or newer")'
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/.run: .venv/.made setup.cfg pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+.venv/.test: .venv/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+.venv/.check: .venv/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[check]'
+	touch $@

@@ -1,0 +1,87 @@
+"""Grids and helpers that several tests share."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import opfmodel as om
+
+DATA = Path(__file__).parent / "data"
+ROOT = Path(__file__).parent.parent
+SCENARIOS = ROOT / "scenarios"
+
+
+def two_bus() -> om.Network:
+    """The smallest grid with a line, a generator, a load and a storage."""
+    grid = om.Network("two-bus", base_mva=100)
+    grid.north = om.Bus(vm=(0.95, 1.05), reference=True)
+    grid.south = om.Bus(vm=(0.95, 1.05))
+    grid.tie = om.Branch("north", "south", r=0.01, x=0.1, rating=120)
+    grid.coal = om.Generator("north", p=(0, 200), q=(-80, 80), ramp=20, cost=om.Polynomial(0.01, 15, 0))
+    grid.cell = om.Storage("south", energy=200, power=10, q=(-10, 10))
+    grid.town = om.Load("south", p=90, q=30)
+    return grid
+
+
+def everything() -> om.Network:
+    """A grid with one of every feature: taps, shifts, charging, limits, all costs, lossy storage."""
+    grid = om.Network("everything", base_mva=50)
+    for name in "abcd":
+        grid.add(name, om.Bus(vm=(0.9, 1.1), reference=name == "b"))
+    grid.line = om.Branch("a", "b", r=0.01, x=0.08, b=0.04, rating=60, angle=(-25, 25))
+    grid.transformer = om.Branch("b", "c", r=0.002, x=0.05, tap=0.97, shift=3, rating=70)
+    grid.cable = om.Branch("c", "d", r=0.02, x=0.06, b=0.2, g=0.001, b_from=0.01, b_to=0.02)
+    grid.ring = om.Branch("a", "d", r=0.03, x=0.11, b=0.02, g_from=0.002, rating=40, angle=(-20, 30))
+    grid.cheap = om.Generator("a", p=(5, 60), q=(-30, 30), ramp=15, cost=om.Polynomial(0.02, 12, 5))
+    grid.dear = om.Generator(
+        "c", p=(0, 50), q=(-25, 25), cost=om.PiecewiseLinear([(0, 0), (20, 500), (50, 1700)])
+    )
+    grid.battery = om.Storage(
+        "d",
+        energy=40,
+        power=(-12, 10),
+        q=8,
+        charge_efficiency=0.92,
+        discharge_efficiency=0.95,
+        standing_loss=0.002,
+        rating=11,
+        initial=15,
+    )
+    grid.tank = om.Storage("b", energy=30, power=6, q=3, energy_min=3)
+    grid.town = om.Load("b", p=40, q=12)
+    grid.mill = om.Load("d", p=25, q=8)
+    grid.sun = om.Load("c", p=-6, q=1)
+    grid.capacitor = om.Shunt("d", g=0.4, b=9)
+    return grid
+
+
+def demand(steps: int, seed: int = 1) -> dict[str, np.ndarray]:
+    """A demand that moves, for the grid of :func:`everything`."""
+    noise = np.random.default_rng(seed).normal(0, 0.05, (2, steps))
+    wave = 1 + 0.25 * np.sin(2 * np.pi * np.arange(steps) / 12)
+    return {
+        "town.p": 40 * (wave + noise[0]),
+        "town.q": 12 * (wave + noise[0]),
+        "mill.p": 25 * (wave + noise[1]),
+        "mill.q": 8 * (wave + noise[1]),
+    }
+
+
+def pglib_baseline() -> dict[str, dict[str, str]]:
+    """Published reference values by case."""
+    with (DATA / "pglib" / "baseline.csv").open() as stream:
+        return {row["case"]: row for row in csv.DictReader(stream)}
+
+
+@pytest.fixture
+def grid() -> om.Network:
+    return two_bus()
+
+
+@pytest.fixture
+def rich_grid() -> om.Network:
+    return everything()

@@ -1,0 +1,190 @@
+"""Blocks, expressions, builders and instances: stating a program."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import solvers
+from solvers import Degree, Evaluator, Kind, ProgramBuilder, ProgramError, classify, largest, total
+
+
+def evaluate(
+    build: ProgramBuilder, expression: solvers.Expression, values: dict[str, np.ndarray]
+) -> np.ndarray:
+    """Value of an expression at given values of the variables."""
+    build.output("wanted", expression)
+    program = build.build()
+    x = np.zeros(program.n_variables)
+    for name, array in values.items():
+        x[program.variables[name].slice] = array.ravel(order="F")
+    return Evaluator(program).outputs(x, program.default.parameters)["wanted"]
+
+
+arrays = st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng(seed).uniform(0.5, 2.0, (3, 4)))
+
+
+@given(a=arrays, b=arrays)
+def test_arithmetic_means_what_it_means_for_arrays(a: np.ndarray, b: np.ndarray) -> None:
+    def formula(x, y):  # the same text for both engines
+        per_item, per_stage = np.array([1.0, 2.0, 3.0])[:, None], np.array([[1.0, -1.0, 0.5, 2.0]])
+        return (
+            np.sin(x) * y**2 - per_item / x + per_stage * np.exp(-y) + np.sqrt(x * y) - (2 - np.log(x))
+        ) / 3.0 + (-x)
+
+    build = ProgramBuilder()
+    x, y = build.variable("x", 3, 4), build.variable("y", 3, 4)
+    assert_allclose(evaluate(build, formula(x, y), {"x": a, "y": b}), formula(a, b), rtol=1e-12)
+
+
+@given(a=arrays, rows=st.lists(st.integers(0, 2), min_size=1, max_size=5), first=st.integers(0, 3))
+def test_slicing_means_what_it_means_for_arrays(a: np.ndarray, rows: list[int], first: int) -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 3, 4)
+    product = (x * np.arange(1.0, 4.0)[:, None])[rows, first:]
+    expected = (a * np.arange(1.0, 4.0)[:, None])[rows, first:]
+    assert product.shape == expected.shape
+    assert_allclose(evaluate(build, product, {"x": a}), expected)
+
+
+def test_equal_quantities_cancel() -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 3, 4)
+    assert evaluate(build, x[[0, 1]] - x[:2], {"x": np.ones((3, 4))}).tolist() == np.zeros((2, 4)).tolist()
+    assert (x[[0, 1]] - x[:2]).formula.is_zero()
+
+
+def test_a_total_reaches_rows_and_costs() -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 3, 2, lower=0.0)
+    build.minimize(2 * total(np.array([1.0, 2.0, 3.0])[:, None] * x) + 5.0)
+    build.constrain("enough", total(x) - 1.0 >= np.array([2.0, 4.0]))
+    solution = solvers.solve(build.build())
+    assert solution.objective == pytest.approx(2 * (3.0 + 5.0) + 2 * 5.0, abs=1e-5)
+    assert_allclose(solution.value("x")[0], [3.0, 5.0], atol=1e-6)
+
+
+def test_totals_of_numbers_are_sums_per_stage() -> None:
+    assert total(np.arange(6.0).reshape(2, 3)).tolist() == [3.0, 5.0, 7.0]
+
+
+@given(a=arrays)
+def test_the_largest_is_exact_when_minimised(a: np.ndarray) -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 3, 4, lower=a, upper=a)
+    build.minimize(largest(1.0, x, 3.0 - 2.0 * x))
+    expected = np.maximum.reduce([np.ones_like(a), a, 3.0 - 2.0 * a])
+    assert solvers.solve(build.build()).objective == pytest.approx(expected.sum(), rel=1e-6)
+    assert_allclose(largest(1.0, a, 3.0 - 2.0 * a), expected)
+
+
+def test_terms_added_to_the_same_row_are_summed() -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 4, 3)
+    rows = build.rows("pairs", 2, 3)
+    build.add(x, into=rows[[0, 1, 0, 1]])
+    build.add(10.0 * x[[0, 0]], into=rows)
+    program = build.build()
+    values = np.arange(12.0).reshape(4, 3)
+    out = (
+        Evaluator(program).rows(values.ravel(order="F"), program.default.parameters).reshape(2, 3, order="F")
+    )
+    assert_allclose(out[0], values[0] + values[2] + 10 * values[0])
+    assert_allclose(out[1], values[1] + values[3] + 10 * values[0])
+
+
+def test_a_template_can_be_placed_by_index_arrays() -> None:
+    import casadi as ca
+
+    v, q = ca.SX.sym("v", 2), ca.SX.sym("q")
+    template = solvers.Template("products", v, q, ca.vertcat(v[0] * v[1], q * v[0]))
+    build = ProgramBuilder()
+    build.variable("x", 3)
+    build.parameter("weight", 1, value=7.0)
+    build.rows("out", 2)
+    build.add(
+        template,
+        variables=np.array([[0, 1], [1, 2]]),
+        parameters=np.array([[0, 0]]),
+        into=np.array([[0, 0], [1, -1]]),
+    )
+    program = build.build()
+    rows = Evaluator(program).rows(np.array([2.0, 3.0, 5.0]), program.default.parameters)
+    assert rows.tolist() == [2 * 3 + 3 * 5, 7 * 2]
+
+
+def test_degrees_and_kinds_are_derived() -> None:
+    def kind(state) -> solvers.Structure:
+        build = ProgramBuilder()
+        x = build.variable("x", 2)
+        state(build, x)
+        return classify(build.build())
+
+    assert kind(lambda b, x: b.minimize(3 * x)).kind is Kind.LINEAR
+    assert kind(lambda b, x: b.minimize(x**2)).kind is Kind.QUADRATIC
+    conic = kind(lambda b, x: b.cone("disc", 1.0, x[:1], x[1:]))
+    assert (conic.kind, conic.culprits) == (Kind.CONIC, ("disc",))
+    nonlinear = kind(lambda b, x: b.constrain("wave", np.sin(x) <= 0.5))
+    assert (nonlinear.kind, nonlinear.culprits) == (Kind.NONLINEAR, ("wave",))
+    assert kind(lambda b, x: b.constrain("square", x**2 <= 1.0)).kind is Kind.NONLINEAR
+    build = ProgramBuilder()
+    x = build.variable("x", 1)
+    build.minimize(x**3)
+    assert build.build().costs[0].template.degree is Degree.NONLINEAR
+
+
+def test_instances_change_numbers_and_nothing_else() -> None:
+    build = ProgramBuilder()
+    build.variable("x", 2, 3, lower=0.0, upper=1.0)
+    build.parameter("d", 2, 3, value=1.0)
+    build.rows("r", 1, 3)
+    program = build.build()
+    at = program.instance(
+        {"d": [1.0, 2.0]}, lower={"r": -1.0}, upper={"x": [[5.0, 6.0, 7.0]]}, start={"x": 0.5}
+    )
+    assert program.parameters["d"].read(at.parameters).tolist() == [[1, 1, 1], [2, 2, 2]]
+    assert program.rows["r"].read(at.row_lower).tolist() == [[-1, -1, -1]]
+    assert program.variables["x"].read(at.upper).tolist() == [[5, 6, 7], [5, 6, 7]]
+    assert program.default.upper.max() == 1.0
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda p: p.instance({"nope": 1.0}), "no parameter block is named 'nope'; there are: d"),
+        (lambda p: p.instance({"d": np.ones((5, 5))}), r"takes values of shape \(2, 3\)"),
+        (lambda p: p.instance({"d": np.nan}), "block 'd': item 0, stage 0 is not a number"),
+        (
+            lambda p: p.instance(lower={"x": 2.0}),
+            "item 0, stage 0: the lower bound 2 is above the upper bound 1",
+        ),
+    ],
+)
+def test_bad_numbers_are_named(call, message: str) -> None:
+    build = ProgramBuilder()
+    build.variable("x", 2, 3, lower=0.0, upper=1.0)
+    build.parameter("d", 2, 3)
+    with pytest.raises(ProgramError, match=message):
+        call(build.build())
+
+
+def test_misuse_of_expressions_is_refused() -> None:
+    build, other = ProgramBuilder("one"), ProgramBuilder("two")
+    x, y = build.variable("x", 2), other.variable("y", 2)
+    with pytest.raises(ProgramError, match="two different programs"):
+        x + y
+    with pytest.raises(ProgramError, match="do not combine"):
+        x + np.ones(3)
+    with pytest.raises(ProgramError, match="already"):
+        build.rows("x", 1)
+    with pytest.raises(ProgramError, match="no truth value"):
+        bool(x <= 1.0)
+    with pytest.raises(ProgramError, match="numbers only"):
+        total(x) * total(x)
+    with pytest.raises(ProgramError, match="power"):
+        total(x) ** 2
+    with pytest.raises(ProgramError, match="lower bound 1 is above"):
+        build.variable("z", 1, lower=1.0, upper=0.0)
