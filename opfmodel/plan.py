@@ -325,10 +325,10 @@ class _Numbers:
                 self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
 
     def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
-        """Bounds of a block with one more point than stages keep their last value."""
+        """Bounds of a stage hold at its end; the first point of a stock has those of the first stage."""
         stages = (self.program.variables.get(name) or self.program.rows[name]).stages
         if values.ndim == 2 and values.shape[1] == stages - 1:
-            return np.hstack([values, values[:, -1:]])
+            return np.hstack([values[:, :1], values])
         if values.ndim == 2 and values.shape[1] > stages:
             return np.asarray(values[:, -stages:])
         return values

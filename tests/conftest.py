@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 import opfmodel as om
+
+settings.register_profile("opfmodel", deadline=None)  # machines are shared and noisy
+settings.load_profile("opfmodel")
 
 DATA = Path(__file__).parent / "data"
 ROOT = Path(__file__).parent.parent

@@ -46,7 +46,7 @@ def cases() -> list[tuple[str, int]]:
 
 @pytest.mark.parametrize(("formulation", "number"), cases(), ids=str)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_template_derivatives(formulation: str, number: int, seed: int) -> None:
     placement = placements(formulation)[number]
     template = placement.template
@@ -86,14 +86,14 @@ def differences(function, at: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_whole_program_along_random_directions(formulation: str, seed: int) -> None:
     p = program(formulation)
     check_along_directions(p, np.random.default_rng(seed))
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_variable_that_enters_a_template_twice(seed: int) -> None:
     build = ProgramBuilder()
     x = build.variable("x", 3, 2, start=0.3)

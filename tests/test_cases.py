@@ -1,0 +1,158 @@
+"""Network files: formats, diagnostics, errors, and the way back."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import pytest
+from conftest import DATA
+
+import opfmodel as om
+from opfmodel.errors import CaseError, CaseWarning
+
+CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m")])
+
+
+def contents(network: om.Network) -> dict:
+    return {name: network[name] for name in network}
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda p: p.stem)
+def test_a_written_case_reads_back_as_it_was(path: Path, tmp_path: Path) -> None:
+    network = om.read_network(path)
+    again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
+    assert contents(again) == contents(network)
+    assert again.base_mva == network.base_mva
+
+
+def test_storage_survives_the_way_through_a_file(tmp_path: Path) -> None:
+    network = om.read_network(DATA / "matpower" / "case9.m")
+    network.storage5 = om.Storage(
+        "5", energy=80, power=(-20, 15), q=(-5, 6), charge_efficiency=0.9, initial=10
+    )
+    again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
+    assert again.storage5.resolved() == network.storage5
+
+
+def test_names_that_are_not_numbers_are_numbered(grid: om.Network, tmp_path: Path) -> None:
+    with pytest.warns(CaseWarning, match="buses are numbered from 1"):
+        again = om.read_network(om.write_network(grid, tmp_path / "copy.m"))
+    assert list(again.of(om.Bus)) == ["1", "2"]
+    assert again["1-2"].rating == 120
+
+
+def test_what_matpower_cannot_hold_is_said(rich_grid: om.Network, tmp_path: Path) -> None:
+    with pytest.warns(CaseWarning) as caught:
+        om.write_network(rich_grid, tmp_path / "copy.m")
+    said = " ".join(str(w.message) for w in caught)
+    assert "cable: MATPOWER has no shunt conductance or uneven charging" in said
+    assert "battery: standing_loss and energy_min are left out" in said
+
+
+@pytest.fixture
+def other_formats(tmp_path: Path) -> dict[str, Path]:
+    """The 14-bus case in other formats, as powerio writes them."""
+    import powerio
+
+    module = powerio.parse(str(DATA / "pglib" / "pglib_opf_case14_ieee.m"))
+    paths = {
+        "psse": tmp_path / "c.raw",
+        "pandapower-json": tmp_path / "c.json",
+        "pypsa-csv": tmp_path / "folder",
+    }
+    for name, path in paths.items():
+        powerio.emit(module, name, str(path))
+    return paths
+
+
+def test_pandapower_and_pypsa_give_the_optimum_of_the_original(other_formats: dict[str, Path]) -> None:
+    original = om.read_network(DATA / "pglib" / "pglib_opf_case14_ieee.m")
+    for name in ("pandapower-json", "pypsa-csv"):
+        network = om.read_network(other_formats[name])
+        for generator, source in zip(
+            network.of(om.Generator), original.of(om.Generator).values(), strict=True
+        ):
+            network.update(generator, q=source.q)  # PyPSA has no reactive limits
+        found, expected = (om.MultiStage(n).solve().objective for n in (network, original))
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_format_without_cost_needs_one(other_formats: dict[str, Path]) -> None:
+    with pytest.raises(
+        CaseError, match=r"c\.raw: no cost data for gen1, gen2, gen3, gen4, gen5; give a cost"
+    ):
+        om.read_network(other_formats["psse"])
+    network = om.read_network(other_formats["psse"], default_cost=om.Polynomial(0, 30, 0))
+    assert network.gen1.cost == om.Polynomial(0, 30, 0)
+    assert om.MultiStage(network).solve().optimal
+
+
+def test_piecewise_linear_costs_are_read() -> None:
+    network = om.read_network(DATA / "matpower" / "case30pwl.m")
+    assert network.gen1.cost.points == ((0, 0), (12, 144), (36, 1008), (60, 2832))
+    assert om.MultiStage(network).solve().optimal
+
+
+def case5(**replace: str) -> str:
+    text = (DATA / "matpower" / "case5.m").read_text()
+    for old, new in replace.values():
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("missing.m", None, "there is no such file"),
+        ("truncated.m", case5()[:900], "cannot be read as a network"),
+        ("unknown.xyz", "hello", "cannot infer"),
+        ("empty.m", "", "cannot be read as a network"),
+        ("no_cost.m", case5().split("%%-----  OPF Data")[0], "no cost data for gen1"),
+        (
+            "cubic.m",
+            case5(a=("2	0	0	2	14	0;", "2	0	0	4	1	0	14	0;")),
+            "gen1: cost: a polynomial of degree 3",
+        ),
+        (
+            "concave.m",
+            case5(a=("2	0	0	2	14	0;", "2	0	0	3	-1	14	0;")),
+            "gen1: cost = .*must be convex",
+        ),
+        ("zero.m", case5(a=("0.00281	0.0281", "0	0")), "1-2: r, x = .*the impedance must not be zero"),
+        (
+            "limits.m",
+            case5(a=("170	0	127.5	-127.5", "170	0	-127.5	127.5")),
+            "gen2: q = .*the minimum 127.5 is above",
+        ),
+    ],
+)
+def test_a_bad_file_gets_one_clear_error(name: str, text: str | None, message: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(CaseError, match=message) as caught:
+        om.read_network(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_equipment_that_is_not_modelled_is_an_error_and_not_dropped(tmp_path: Path) -> None:
+    path = tmp_path / "dc.m"
+    line = "1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;"
+    path.write_text(case5() + f"\nmpc.dcline = [\n{line}\n];\n")
+    with pytest.raises(CaseError, match="1 HVDC lines in service, which opfmodel does not model"):
+        om.read_network(path)
+
+
+def test_diagnostics_of_the_reader_are_warnings(tmp_path: Path) -> None:
+    path = tmp_path / "program.m"
+    path.write_text(case5() + "\nmpc.bus(:, 3) = 2 * mpc.bus(:, 3);\n")
+    with pytest.warns(CaseWarning, match=r"program\.m: indexed assignment to mpc\.bus is not evaluated"):
+        om.read_network(path)
+
+
+def test_a_clean_case_gives_no_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        om.read_network(DATA / "matpower" / "case118.m")

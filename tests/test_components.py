@@ -1,0 +1,194 @@
+"""Declaring components: names, and an error for every rule that can be broken."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel.components import Component
+from opfmodel.errors import ComponentError, NetworkError
+
+
+def test_a_component_is_read_back_by_name(grid: om.Network) -> None:
+    assert grid.coal is grid["coal"]
+    assert "coal" in grid
+    assert list(grid.of(om.Bus)) == ["north", "south"]
+    assert repr(grid) == "Network('two-bus': 2 buses, 1 branch, 1 generator, 1 storage, 1 load)"
+    assert len(grid) == 6
+
+
+def test_loops_use_add() -> None:
+    grid = om.Network()
+    for number in range(3):
+        grid.add(number, om.Bus())
+    assert list(grid) == ["0", "1", "2"]
+
+
+def test_networks_are_copied_and_pickled(grid: om.Network) -> None:
+    for twin in (grid.copy(), pickle.loads(pickle.dumps(grid)), copy.deepcopy(grid)):
+        assert {n: twin[n] for n in twin} == {n: grid[n] for n in grid}
+    twin = grid.copy()
+    twin.remove("town")
+    assert "town" in grid
+
+
+def test_fields_can_be_updated(grid: om.Network) -> None:
+    grid.update("coal", ramp=30)
+    assert grid.coal.ramp == 30
+    with pytest.raises(
+        ComponentError, match=r"coal: rmap = 3: unknown field of a generator; did you mean 'ramp'\?"
+    ):
+        grid.update("coal", rmap=3)
+    with pytest.raises(ComponentError, match="coal: ramp = -1: must be at least 0"):
+        grid.update("coal", ramp=-1)
+
+
+def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
+    with pytest.raises(NetworkError, match="the name 'coal' is taken by a generator"):
+        grid.coal = om.Bus()
+    with pytest.raises(NetworkError, match="'copy' is a word of Network itself"):
+        grid.copy = om.Bus()
+    with pytest.raises(NetworkError, match=r"has no component 'coat'; did you mean 'coal'\?"):
+        grid["coat"]
+    with pytest.raises(AttributeError, match="coat"):
+        _ = grid.coat
+    with pytest.raises(NetworkError, match="is not a component"):
+        grid.thing = 3
+
+
+@pytest.mark.parametrize(
+    ("component", "field", "rule"),
+    [
+        (om.Bus(vm=(1.1, 0.9)), "vm", "the minimum 1.1 is above the maximum 0.9"),
+        (om.Bus(vm=(-1, 1)), "vm", "the minimum must be at least 0"),
+        (om.Bus(vm=1.0), "vm", r"must be a pair \(min, max\) in p.u."),
+        (om.Bus(vm=(math.nan, 1)), "vm", "both ends must be numbers"),
+        (om.Bus(reference="yes"), "reference", "must be true or false"),
+        (om.Bus(base_kv=0), "base_kv", "must be greater than 0"),
+        (om.Branch("a", "b", r=0, x=0), "r, x", "the impedance must not be zero"),
+        (om.Branch("a", "a", r=0, x=1), "to_bus", "must differ from from_bus"),
+        (om.Branch("a", "b", r=math.nan, x=1), "r", "must be a finite number"),
+        (om.Branch("a", "b", r="0.1", x=1), "r", "must be a number in p.u."),
+        (om.Branch("a", "b", r=0, x=1, rating=-1), "rating", "must be at least 0"),
+        (om.Branch("a", "b", r=0, x=1, tap=0), "tap", "must be greater than 0"),
+        (om.Branch(1, "b", r=0, x=1), "from_bus", "must be the name of a bus"),
+        (om.Generator("a", p=(0, math.nan)), "p", "both ends must be numbers"),
+        (om.Generator("a", p=(math.inf, math.inf)), "p", "the minimum must be below infinity"),
+        (
+            om.Generator("a", p=(0, 1), cost=om.Polynomial(-1)),
+            "cost",
+            "must be convex: c2 must be at least 0",
+        ),
+        (om.Generator("a", p=(0, 1), cost=om.Polynomial(0, math.inf)), "cost", "must be finite"),
+        (om.Generator("a", p=(0, 1), cost=5), "cost", "must be a Polynomial or PiecewiseLinear"),
+        (om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0)])), "cost", "needs at least two points"),
+        (
+            om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0), (1, 5), (2, 6)])),
+            "cost",
+            "must be convex: slope 1 follows 5",
+        ),
+        (
+            om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0), (0, 5)])),
+            "cost",
+            "the points must have increasing MW",
+        ),
+        (om.Storage("a", energy=-1, power=1), "energy", "must be at least 0"),
+        (om.Storage("a", energy=1, power=-1), "power", "must be at least 0"),
+        (
+            om.Storage("a", energy=1, power=1, initial=2),
+            "initial",
+            "must lie between energy_min = 0 and energy = 1",
+        ),
+        (om.Storage("a", energy=1, power=1, energy_min=2), "energy_min", "must be at most the capacity"),
+        (
+            om.Storage("a", energy=1, power=1, charge_efficiency=0),
+            "charge_efficiency",
+            "must be greater than 0",
+        ),
+        (
+            om.Storage("a", energy=1, power=1, discharge_efficiency=1.1),
+            "discharge_efficiency",
+            "must be at most 1",
+        ),
+        (om.Load("a", p=math.nan), "p", "must be a finite number"),
+        (om.Load("a", p=True), "p", "must be a number in MW"),
+        (om.Shunt("a", b=math.inf), "b", "must be a finite number"),
+    ],
+)
+def test_a_broken_rule_names_component_field_value_and_rule(
+    component: Component, field: str, rule: str
+) -> None:
+    grid = om.Network()
+    with pytest.raises(ComponentError, match=rule) as caught:
+        grid.add("it", component)
+    assert (caught.value.component, caught.value.field) == ("it", field)
+    assert str(caught.value).startswith(f"it: {field} = ")
+    assert "it" not in grid
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"p": [0, 1]}, "bus = None: a generator needs this field"),
+        ({"bus": "a", "p": [0, 1], "rmap": 1}, "unknown field of a generator; did you mean 'ramp'"),
+        ({"bus": "a", "p": [0, 1], "cost": {"c3": 1}}, "must be a Polynomial or PiecewiseLinear"),
+        ({"bus": "a", "p": [0, 1], "cost": {"points": [1, 2]}}, "needs at least two points"),
+    ],
+)
+def test_plain_values_are_checked_too(values: dict, message: str) -> None:
+    with pytest.raises(ComponentError, match=message):
+        om.Generator.from_mapping("it", values)
+
+
+def test_a_network_needs_a_positive_base() -> None:
+    with pytest.raises(NetworkError, match="base_mva = 0: must be a positive number"):
+        om.Network("x", base_mva=0)
+
+
+numbers = st.one_of(st.none(), st.booleans(), st.floats(), st.integers(-5, 5), st.text(max_size=3))
+values = st.one_of(numbers, st.tuples(numbers, numbers), st.lists(numbers, max_size=3))
+
+
+@given(fields=st.dictionaries(st.sampled_from(sorted(om.Storage.fields())), values))
+def test_no_value_escapes_the_rules(fields: dict) -> None:
+    """Whatever is written, either the component is sound or one clear error says what is not."""
+    try:
+        made = om.Storage.from_mapping("it", {"bus": "a", "energy": 1.0, "power": 1.0, **fields})
+    except ComponentError as error:
+        assert error.field in om.Storage.fields()
+        return
+    ready = made.resolved()
+    assert 0 <= ready.energy_min <= ready.initial <= ready.energy < math.inf
+    assert 0 < ready.charge_efficiency <= 1
+    assert 0 < ready.discharge_efficiency <= 1
+
+
+@given(
+    points=st.lists(
+        st.tuples(st.integers(-50, 50), st.integers(1, 20)), min_size=2, max_size=6, unique_by=lambda p: p[0]
+    ),
+    at=st.floats(-60, 60),
+)
+def test_a_piecewise_linear_cost_is_the_largest_of_its_lines(
+    points: list[tuple[int, int]], at: float
+) -> None:
+    powers = sorted(p for p, _ in points)
+    slopes = sorted(s for _, s in points)[: len(powers) - 1]
+    costs = [0.0]
+    for slope, left, right in zip(slopes, powers[:-1], powers[1:], strict=True):
+        costs.append(costs[-1] + slope * (right - left))
+    cost = om.PiecewiseLinear(list(zip(powers, costs, strict=True)))
+    cost.check("it", "cost")
+    value = max(slope * at + offset for slope, offset in cost.segments)
+    inside = min(max(at, powers[0]), powers[-1])
+    import numpy as np
+
+    expected = np.interp(inside, powers, costs)
+    expected += slopes[0] * min(at - powers[0], 0.0) + slopes[-1] * max(at - powers[-1], 0.0)
+    assert value == pytest.approx(expected, abs=1e-6)

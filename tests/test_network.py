@@ -1,0 +1,109 @@
+"""Per-unit arrays, islands and references."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import opfmodel as om
+from opfmodel.errors import ComponentError, NetworkError
+from opfmodel.network import per_unit
+from opfmodel.physics import branch_admittance, branch_flow, polar_products
+
+
+def test_quantities_are_in_per_unit(rich_grid: om.Network) -> None:
+    arrays = per_unit(rich_grid)
+    assert arrays.base_mva == 50
+    assert_allclose(arrays.generator.p_max, [1.2, 1.0])
+    assert_allclose(arrays.generator.ramp, [0.3, np.inf])
+    assert_allclose(arrays.generator.c2, [0.02 * 50**2, 0])
+    assert_allclose(arrays.generator.c1, [12 * 50, 0])
+    assert_allclose(arrays.generator.segment_slope, [25 * 50, 40 * 50])
+    assert arrays.generator.segment_owner.tolist() == [1, 1]
+    assert_allclose(arrays.storage.power_min, [-0.24, -0.12])
+    assert_allclose(arrays.storage.initial, [0.3, (3 + 30) / 2 / 50])
+    assert_allclose(arrays.branch.shift[1], np.deg2rad(3))
+    assert_allclose(arrays.branch.angle_max[0], np.deg2rad(25))
+    assert_allclose(arrays.branch.rating, [1.2, 1.4, np.inf, 0.8])
+    assert arrays.load.bus.tolist() == [1, 3, 2]
+    assert_allclose(arrays.load.physical("p"), [40, 25, -6])
+
+
+def test_an_unknown_bus_is_named(grid: om.Network) -> None:
+    grid.wire = om.Branch("north", "sout", r=0, x=1)
+    with pytest.raises(
+        ComponentError, match=r"wire: to_bus = 'sout': there is no such bus; did you mean 'south'\?"
+    ):
+        per_unit(grid)
+
+
+def test_what_is_out_of_service_is_left_out_and_reported(rich_grid: om.Network) -> None:
+    rich_grid.update("cable", in_service=False)
+    rich_grid.update("sun", in_service=False)
+    arrays = per_unit(rich_grid)
+    assert arrays.branch.names == ("line", "transformer", "ring")
+    assert arrays.load.names == ("town", "mill")
+    assert arrays.notes == ("out of service, left out: 'cable', 'sun'",)
+
+
+def test_what_hangs_on_a_bus_that_is_out_of_service_goes_with_it(rich_grid: om.Network) -> None:
+    rich_grid.update("d", in_service=False)
+    arrays = per_unit(rich_grid)
+    assert arrays.bus.names == ("a", "b", "c")
+    assert "'battery'" in arrays.notes[0]
+    assert arrays.branch.names == ("line", "transformer")
+
+
+def test_every_island_has_one_reference(rich_grid: om.Network) -> None:
+    for branch in ("line", "cable"):
+        rich_grid.remove(branch)
+    arrays = per_unit(rich_grid)  # b-c and a-d
+    assert arrays.n_islands == 2
+    assert arrays.island.tolist() == [0, 1, 1, 0]
+    assert arrays.reference.tolist() == [0, 1]  # a has the larger generator, b is declared
+    assert arrays.notes[0] == "2 islands, each with its own reference bus"
+    assert "no reference bus declared in the island of 'a'; 'a' is taken" in arrays.notes
+
+
+def test_too_many_references_are_reported(grid: om.Network) -> None:
+    grid.update("south", reference=True)
+    assert per_unit(grid).notes == ("several reference buses in one island; 'north' is taken",)
+
+
+def test_a_bus_with_nothing_is_left_out_and_reported(grid: om.Network) -> None:
+    grid.west = om.Bus()
+    arrays = per_unit(grid)
+    assert arrays.bus.names == ("north", "south")
+    assert arrays.notes == ("isolated buses with nothing connected, left out: 'west'",)
+
+
+def test_a_network_needs_a_bus() -> None:
+    with pytest.raises(NetworkError, match="has no bus in service"):
+        per_unit(om.Network())
+
+
+positive, angle = st.floats(0.01, 2), st.floats(-1.5, 1.5)
+
+
+@given(
+    r=st.floats(0, 0.5),
+    x=positive,
+    tap=st.floats(0.8, 1.2),
+    shift=angle,
+    vf=positive,
+    vt=positive,
+    theta=angle,
+)
+def test_branch_flows_agree_with_complex_circuit_theory(r, x, tap, shift, vf, vt, theta) -> None:
+    shunt_from, shunt_to = 0.01 + 0.05j, 0.02 - 0.03j
+    y = branch_admittance(r, x, 0.01, 0.05, 0.02, -0.03, tap, shift)
+    flows = branch_flow(y, *polar_products(vf, vt, theta))
+    v_from, v_to = vf * np.exp(1j * theta), vt + 0j
+    behind = v_from / (tap * np.exp(1j * shift))
+    through = (behind - v_to) / (r + 1j * x)
+    s_from = behind * (through + behind * shunt_from).conj()
+    s_to = v_to * (-through + v_to * shunt_to).conj()
+    assert_allclose(flows, [s_from.real, s_from.imag, s_to.real, s_to.imag], rtol=1e-9, atol=1e-9)
