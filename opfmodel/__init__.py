@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from opfmodel.objectives.economic import Economic
     from opfmodel.plan import End, MultiStage, Plan
     from opfmodel.profiles.series import Profiles
+    from opfmodel.scenario import Scenario, load_scenario
+    from opfmodel.simulation import Controller, NominalPlant, Run, simulate
     from solvers.expression import largest, total
 
 # Public names and where they live; imported at first use, so that "import opfmodel" stays light.
@@ -54,6 +56,8 @@ _HOMES = {
     "opfmodel.objectives.economic": ("Economic",),
     "opfmodel.plan": ("End", "MultiStage", "Plan"),
     "opfmodel.profiles.series": ("Profiles",),
+    "opfmodel.scenario": ("Scenario", "load_scenario"),
+    "opfmodel.simulation": ("Controller", "NominalPlant", "Run", "simulate"),
     "solvers.expression": ("largest", "total"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -61,22 +65,28 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "Branch",
     "Bus",
+    "Controller",
     "Economic",
     "End",
     "Generator",
     "Load",
     "MultiStage",
     "Network",
+    "NominalPlant",
     "Objective",
     "OpfmodelError",
     "PiecewiseLinear",
     "Plan",
     "Polynomial",
     "Profiles",
+    "Run",
+    "Scenario",
     "Shunt",
     "Storage",
     "largest",
+    "load_scenario",
     "read_network",
+    "simulate",
     "total",
     "write_network",
 ]

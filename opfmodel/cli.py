@@ -311,7 +311,8 @@ def _scenario(
         try:
             values[key] = YAML(typ="safe", pure=True).load(text)
         except YAMLError as error:
-            raise OpfmodelError(f"--set {item}: the value is not YAML: {error}") from error
+            problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+            raise OpfmodelError(f"--set {item}: the value is not YAML: {problem}") from error
     return load_scenario(file, variant, {**values, **(changes or {})})
 
 

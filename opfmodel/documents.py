@@ -73,8 +73,8 @@ def read_document(path: str | Path) -> Document:
         tree = yaml.load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        where = f"{mark.line + 1}:{mark.column + 1}: " if mark is not None else ""
-        raise ScenarioError(f"{path}:{where} not YAML: {error.problem or error.context}") from None
+        where = f"{mark.line + 1}:{mark.column + 1}: " if mark is not None else " "
+        raise ScenarioError(f"{path}:{where}not YAML: {error.problem or error.context}") from None
     except (YAMLError, ValueError) as error:
         raise ScenarioError(f"{path}: not YAML: {error}") from None
     positions: dict[Key, tuple[int, int]] = {}

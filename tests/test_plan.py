@@ -122,7 +122,11 @@ def test_time_series_of_limits_and_costs() -> None:
     grid = two_bus()
     grid.update("coal", ramp=None)
     grid.wind = om.Generator("south", p=(0, 50), q=(0, 0))
-    series = {**WAVE, "wind.p_max": [0, 10, 20, 30, 40, 50, 5, 5], "coal.c1": [15, 15, 90, 90, 15, 15, 15, 15]}
+    series = {
+        **WAVE,
+        "wind.p_max": [0, 10, 20, 30, 40, 50, 5, 5],
+        "coal.c1": [15, 15, 90, 90, 15, 15, 15, 15],
+    }
     made = om.MultiStage(grid, 6, profiles=series)
     plan = made.solve()
     assert_allclose(plan.data["pg"].sel(generator="wind"), series["wind.p_max"][:6], atol=1e-4)
@@ -135,7 +139,11 @@ def test_time_series_of_limits_and_costs() -> None:
 def test_time_series_of_ratings_and_capacity() -> None:
     grid = two_bus()
     grid.update("coal", ramp=None)
-    series = {**WAVE, "tie.rating": [120, 120, 113, 120, 120, 120], "cell.energy": [200, 95, 200, 200, 200, 200]}
+    series = {
+        **WAVE,
+        "tie.rating": [120, 120, 113, 120, 120, 120],
+        "cell.energy": [200, 95, 200, 200, 200, 200],
+    }
     plan = om.MultiStage(grid, 6, profiles=series, end=om.End(price=50.0)).solve(initial={"e": [90.0]})
     assert plan.optimal
     assert check(grid, plan.data, series).max_violation < 1e-6
@@ -157,7 +165,9 @@ def test_losses_of_storage_and_the_inverter_circle() -> None:
 def test_charging_and_discharging_at_once_is_detected_and_can_be_forbidden() -> None:
     grid = two_bus()
     grid.remove("cell")
-    grid.cell = om.Storage("south", energy=20, power=10, q=10, charge_efficiency=0.8, discharge_efficiency=0.8)
+    grid.cell = om.Storage(
+        "south", energy=20, power=10, q=10, charge_efficiency=0.8, discharge_efficiency=0.8
+    )
     # demand that must be served at a negative price: wasting energy earns money
     grid.update("coal", cost=om.Polynomial(0.0, -30.0, 0.0), p=(0, 200))
     wasteful = om.MultiStage(grid, 4, profiles=WAVE).solve()
@@ -174,7 +184,9 @@ def test_a_constraint_of_ones_own() -> None:
     made.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 115)
     made.constrain("import", lambda s: s.branch.pf[[0]] <= 84.0)
     data = made.solve().data
-    assert data["pg"].values.max() == pytest.approx(85, abs=0.3) or data["pf"].values.max() == pytest.approx(84, 1e-5)
+    assert data["pg"].values.max() == pytest.approx(85, abs=0.3) or data["pf"].values.max() == pytest.approx(
+        84, 1e-5
+    )
     assert data["pf"].values.max() <= 84 + 1e-4
     assert data["pg"].values.max() <= 85 + 1e-4
     with pytest.raises(ModelError, match="compiled already"):

@@ -11,6 +11,7 @@ import numpy as np
 
 from solvers.assembly import Assembly, Evaluator
 from solvers.errors import SolverError, SolverOptionError
+from solvers.interrupt import interruptible
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
 from solvers.status import SolutionStatus, TerminationCondition
@@ -153,7 +154,8 @@ class IpoptSession:
         solver = self._solver(warm)
         began = time.perf_counter()
         try:
-            result = solver(**arguments)
+            with interruptible():
+                result = solver(**arguments)
         except RuntimeError as error:
             raise SolverError(f"{self._plugin} failed: {_reason(error)}") from error
         seconds = time.perf_counter() - began

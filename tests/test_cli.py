@@ -1,0 +1,243 @@
+"""The command line: what it prints, what it writes, how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import DATA, SCENARIOS
+
+from opfmodel import cli
+from opfmodel.results import load
+
+CASE14 = DATA / "pglib" / "pglib_opf_case14_ieee.m"
+CASE5 = SCENARIOS / "case5-step.yaml"
+SHORT = ("--set", "time.steps=3", "--set", "controller.horizon=6")
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    """Run a command in this process: exit status, standard output, standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["opfmodel", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(stop.value.code or 0), out, err
+
+    return run
+
+
+def test_solve_a_network_file(call: Call) -> None:
+    code, out, _ = call("solve", CASE14, "--json")
+    result = json.loads(out)
+    assert code == 0
+    assert result["status"] == "locally_optimal"
+    assert result["objective"] == pytest.approx(2178.08, rel=1e-4)
+    assert result["max_violation"] <= 1e-6
+    assert (result["formulation"], result["solver"]) == ("ac", "ipopt")
+    assert {"build_seconds", "solve_seconds", "iterations"} <= set(result)
+    code, out, _ = call("solve", CASE14)
+    assert code == 0
+    assert "2,178.08" in out
+
+
+def test_solve_a_scenario(call: Call) -> None:
+    code, out, _ = call("solve", CASE5, "--horizon", 4, "--json")
+    assert code == 0
+    assert json.loads(out)["rows"] < 120
+
+
+def test_a_problem_without_solution_ends_with_1(call: Call, tmp_path: Path) -> None:
+    text = CASE5.read_text().replace("factor: 1.06", "factor: 3.0")
+    path = tmp_path / "heavy.yaml"
+    path.write_text(text.replace("generator_delay: 1", "generator_delay: 0"))
+    code, out, _ = call("solve", path, "--horizon", 2, "--json")
+    assert code == 1
+    assert json.loads(out)["status"] == "locally_infeasible"
+    code, out, _ = call("run", path, *SHORT, "--json", "--out", tmp_path / "out")
+    assert code == 1
+    assert json.loads(out)["status"] == "locally_infeasible"
+
+
+def test_run_saves_trajectories_summary_and_a_figure(call: Call, tmp_path: Path) -> None:
+    out_folder = tmp_path / "deep" / "out"
+    code, out, _ = call("run", CASE5, *SHORT, "--out", out_folder, "--json")
+    summary = json.loads(out)
+    assert code == 0
+    assert {"status", "cost", "steps", "solve_seconds_mean", "solve_seconds_max", "iterations_mean"} <= set(
+        summary
+    )
+    assert summary["max_violation"] <= 1e-6
+    assert sorted(p.name for p in out_folder.iterdir()) == [
+        "summary.json",
+        "system.pdf",
+        "system.png",
+        "trajectories.nc",
+    ]
+    data = load(out_folder)
+    assert data.attrs["cost"] == pytest.approx(summary["cost"])
+    assert data.sizes["time"] == 3
+    assert json.loads((out_folder / "summary.json").read_text()) == summary
+    code, out, _ = call("plot", out_folder, "--json", "--bus", "1", "--bus", "4")
+    assert len(json.loads(out)["figures"]) == 6
+    assert all(Path(p).stat().st_size > 1000 for p in json.loads(out)["figures"])
+    code, _, err = call("plot", out_folder, "--bus", "9")
+    assert (code, err) == (2, "error: no bus is named '9'; known are: 1, 2, 3, 4, 5\n")
+
+
+def test_run_prints_a_short_table(call: Call, tmp_path: Path) -> None:
+    code, out, _ = call("run", CASE5, *SHORT, "--out", tmp_path)
+    assert code == 0
+    assert [line.split()[0] for line in out.splitlines()] == [
+        "scenario",
+        "status",
+        "cost",
+        "solve",
+        "iterations",
+        "max",
+        "results",
+    ]
+
+
+def test_validate(call: Call, tmp_path: Path) -> None:
+    code, out, _ = call("validate", CASE5, "--json")
+    assert (code, json.loads(out)["buses"]) == (0, 5)
+    code, out, _ = call("validate", DATA / "matpower" / "case33bw.m")
+    assert code == 0
+    assert "33 buses" in out
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(CASE5.read_text().replace("horizon: 48", "horizn: 48"))
+    code, out, err = call("validate", bad, "--json")
+    assert code == 2
+    assert "did you mean 'horizon'" in json.loads(out)["error"]
+    assert err.startswith("error: ")
+
+
+def test_list(call: Call) -> None:
+    code, out, _ = call("list", "--json")
+    entries = json.loads(out)["plugins"]
+    assert code == 0
+    assert ("formulation", "ac", "opfmodel") in {(e["sort"], e["name"], e["origin"]) for e in entries}
+    assert all(e["summary"] for e in entries)
+    assert "economic" in call("list")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("solve", "none.m"), "none.m: there is no such file"),
+        (("solve", "none.yaml"), "none.yaml: there is no such file"),
+        (("run", CASE14), "a scenario file ends in .yaml"),
+        (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
+        (("solve", CASE14, "--solver", "nosuch"), "there is no solver 'nosuch' here; installed are"),
+        (("solve", CASE14, "--horizon", "0"), "horizon = 0"),
+        (("solve", CASE14, "--variant", "x"), "are for scenario files"),
+        (("run", CASE5, "--set", "controller"), "write KEY=VALUE"),
+        (("run", CASE5, "--set", "controller.x=1"), "controller.x: unknown key"),
+        (("run", CASE5, "--set", "time.steps=[1"), "the value is not YAML"),
+        (
+            ("run", CASE5, "--set", "controller.solver.options={no_such: 1}"),
+            "ipopt refused its options {'no_such': 1}",
+        ),
+        (("frobnicate",), "No such command"),
+        (("solve",), "Missing argument"),
+        (("solve", CASE14, "--horizon", "x"), "Invalid value for '--horizon'"),
+        (("plot", "nowhere"), "there is no such file"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(call: Call, arguments: tuple, message: str) -> None:
+    code, out, err = call(*arguments)
+    assert code == 2
+    assert out == ""
+    assert message in err
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+
+
+def test_solver_options_that_are_refused_are_bad_input(call: Call) -> None:
+    options = "controller.solver={name: ipopt, options: {no_such: 1}}"
+    code, _, err = call("solve", CASE5, "--horizon", 2, "--set", options)
+    assert code == 2
+    assert "no_such" in err
+
+
+def test_a_folder_that_cannot_be_written_is_said(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    code, _, err = call("run", CASE5, *SHORT, "--out", tmp_path / "file")
+    assert code == 2
+    assert "results cannot be written" in err
+
+
+def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "trajectories.nc").write_text("junk")
+    code, _, err = call("plot", tmp_path)
+    assert code == 2
+    assert "not a result of opfmodel" in err
+
+
+def start(script: str, *arguments: object) -> subprocess.Popen[str]:
+    """A process that runs a script and then the command line, and obeys Ctrl-C."""
+    obey = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            f"{obey}\n{script}\nfrom opfmodel import cli; cli.main()",
+            *map(str, arguments),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_iterations_go_to_standard_error() -> None:
+    out, err = start("", "solve", CASE14, "--json", "--verbose").communicate()
+    assert json.loads(out)["status"] == "locally_optimal"
+    assert "iter    objective" in err
+
+
+# tells on standard error when a step is done, so that the interrupt comes in the middle of the run
+TELL = """
+import opfmodel.simulation as simulation, sys
+apply = simulation.NominalPlant.apply
+def told(self, plan):
+    print("step", plan.time, file=sys.stderr, flush=True)
+    return apply(self, plan)
+simulation.NominalPlant.apply = told
+"""
+
+
+def test_ctrl_c_keeps_finished_steps(tmp_path: Path) -> None:
+    process = start(TELL, "run", CASE5, "--json", "--out", tmp_path)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.strip() == "step 3":
+            process.send_signal(signal.SIGINT)
+            break
+    out, err = process.communicate()
+    summary = json.loads(out)
+    assert process.returncode == 1
+    assert summary["status"] == "stopped"
+    assert 4 <= summary["steps"] < 49
+    assert summary["termination"] == f"interrupted after {summary['steps']} steps"
+    assert load(tmp_path).sizes["time"] == summary["steps"]
+    assert "Traceback" not in err
+
+
+def test_help_needs_no_heavy_library() -> None:
+    code = "import sys, opfmodel, opfmodel.cli; print([m for m in ('casadi', 'numpy', 'xarray', 'pydantic') if m in sys.modules])"
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ.copy()
+    )
+    assert out.stdout.strip() == "[]"

@@ -1,0 +1,230 @@
+"""Scenario files: what they mean, and an error with line and column for whatever is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import DATA, SCENARIOS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel.errors import OpfmodelError, ScenarioError
+
+CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
+MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_scenario_is_read(tmp_path: Path) -> None:
+    scenario = om.load_scenario(SCENARIOS / "case5-step.yaml")
+    assert repr(scenario.network).startswith(
+        "Network('case5-step': 5 buses, 6 branches, 4 generators, 5 storages"
+    )
+    assert scenario.network.gen5.ramp == pytest.approx(60)
+    assert list(scenario.network.of(om.Storage)) == ["cell1", "cell2", "cell3", "cell4", "cell5"]
+    demand = scenario.profiles.series["load4", "p"]
+    assert demand.size == 96
+    assert demand[[0, 7, 8, 15, 16, 30, 40, 41]] == pytest.approx([424, 424, 474, 474, 424, 374, 374, 424])
+    reactive = scenario.profiles.series["load4", "q"]
+    assert reactive / demand == pytest.approx(np.full(96, 131.47 / 400))
+
+
+def by_dsl() -> om.Network:
+    grid = om.Network("case5-step")
+    for number in range(1, 6):
+        grid.add(str(number), om.Bus(vm=(0.9, 1.1), reference=number == 4))
+    for f, t, r, x, b, rating in (
+        (1, 2, 0.00281, 0.0281, 0.00712, 400),
+        (1, 4, 0.00304, 0.0304, 0.00658, None),
+        (1, 5, 0.00064, 0.0064, 0.03126, None),
+        (2, 3, 0.00108, 0.0108, 0.01852, None),
+        (3, 4, 0.00297, 0.0297, 0.00674, None),
+        (4, 5, 0.00297, 0.0297, 0.00674, 240),
+    ):
+        grid.add(f"{f}-{t}", om.Branch(str(f), str(t), r=r, x=x, b=b, rating=rating))
+    for bus, p, q, c2, c1 in ((1, 210, 157.5, 10, 15), (3, 520, 390, 11, 30), (4, 200, 150, 12, 40), (5, 600, 450, 13, 10)):  # fmt: skip
+        cost = om.Polynomial(c2 / 100**2, c1, 0)
+        grid.add(f"gen{bus}", om.Generator(str(bus), p=(0, p), q=(-q, q), ramp=0.1 * p, cost=cost))
+    for bus, p, q in ((2, 300, 98.61), (3, 300, 98.61), (4, 400, 131.47)):
+        grid.add(f"load{bus}", om.Load(str(bus), p=p, q=q))
+    for bus in range(1, 6):
+        grid.add(f"cell{bus}", om.Storage(str(bus), energy=200, power=10, q=10))
+    return grid
+
+
+def test_the_same_grid_by_dsl_by_yaml_and_by_file_has_the_same_optimum(tmp_path: Path) -> None:
+    declared = by_dsl()
+    om.write_network(declared, tmp_path / "case.m")
+    from_file = om.load_scenario(
+        write(
+            tmp_path,
+            "network: {file: case.m, update: {'gen*': {ramp: 10% of p_max}}}\ncontroller: {horizon: 12}",
+        )
+    ).network
+    from_yaml = om.load_scenario(SCENARIOS / "case5-step.yaml").network
+    optima = [om.MultiStage(n, 12).solve().objective for n in (declared, from_yaml, from_file)]
+    assert optima[1] == pytest.approx(optima[0], rel=1e-8)
+    assert optima[2] == pytest.approx(optima[0], rel=1e-8)
+
+
+def test_a_minimal_scenario(tmp_path: Path) -> None:
+    scenario = om.load_scenario(write(tmp_path, MINIMAL))
+    assert (scenario.name, scenario.steps) == ("scenario", 1)
+    assert scenario.simulate().status == "done"
+
+
+def test_a_network_file_can_be_changed(tmp_path: Path) -> None:
+    text = f"""
+network:
+  file: {DATA / "matpower" / "case9.m"}
+  storages: {{cell*: {{bus: "*", energy: 20, power: 5}}}}
+  update: {{"gen*": {{ramp: 50% of p_max}}, gen1: {{p: [10, 200]}}}}
+  remove: [load5]
+"""
+    network = om.load_scenario(write(tmp_path, text)).network
+    assert len(network.of(om.Storage)) == 9
+    assert (network.gen1.ramp, network.gen2.ramp, network.gen1.p) == (125, 150, (10, 200))
+    assert "load5" not in network
+
+
+def test_overrides_and_variants(tmp_path: Path) -> None:
+    text = MINIMAL + "controller: {horizon: 3}\nvariants:\n  long: {controller: {horizon: 9}}\n"
+    path = write(tmp_path, text)
+    assert om.load_scenario(path).settings.controller.horizon == 3
+    assert om.load_scenario(path, "long").settings.controller.horizon == 9
+    assert om.load_scenario(path, "long").name == "scenario:long"
+    assert om.load_scenario(path, overrides={"controller.horizon": 5}).settings.controller.horizon == 5
+    with pytest.raises(ScenarioError, match=r"variants: no variant 'lon'; did you mean 'long'\?"):
+        om.load_scenario(path, "lon")
+
+
+def test_series_from_a_table(tmp_path: Path) -> None:
+    (tmp_path / "demand.csv").write_text("# source\nhour,l.p,g.p_max\n0,1,9\n1,2,8\n2,3,7\n")
+    text = (
+        MINIMAL + "  loads: {l: {bus: a, p: 5}}\ntime: {steps: 3}\nprofiles: [{table: {file: demand.csv}}]\n"
+    )
+    series = om.load_scenario(write(tmp_path, text)).profiles.series
+    assert series["l", "p"].tolist() == [1, 2, 3]
+    assert series["g", "p_max"].tolist() == [9, 8, 7]
+    for wrong, message in (
+        ("hour,l.p\n0,1\n", "1 rows; 3 are needed"),
+        ("hour,x.p\n0,1\n0,1\n0,1\n", "the network has no component 'x'"),
+        ("hour,l.x\n0,1\n0,1\n0,1\n", "a load has no number 'x'"),
+        ("hour,l.p\n0,1\n0,one\n0,1\n", "row 3, column 'l.p': 'one' is not a number"),
+        ("", "the file is empty"),
+    ):
+        (tmp_path / "demand.csv").write_text(wrong)
+        with pytest.raises(ScenarioError, match=message):
+            om.load_scenario(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("horizon: 48", "horizn: 48", r":48:3: controller.horizn: unknown key; did you mean 'horizon'\?"),
+        ("horizon: 48", "horizon: many", ":48:3: controller.horizon: 'many': input should be a valid integer"),
+        ("horizon: 48", "horizon: 0", ":48:3: controller.horizon: 0: input should be greater than or equal to 1"),
+        ("horizon: 48", "horizon: 4.5", ":48:3: controller.horizon: 4.5: input should be a valid integer"),
+        ("horizon: 48", "generator_delay: 3", ":50:3: not YAML: found duplicate key"),
+        ("network:", "netwrk:", r"netwrk: unknown key; did you mean 'network'\?|network: this key is missing"),
+        ("ramp: 10% of p_max", "rmap: 5", r":25:53: network.generators.gen1.rmap: 5: unknown field of a generator; did"),
+        ("ramp: 10% of p_max", "ramp: 10% of pmax", r":25:53: .*'10% of pmax': a generator has no number 'pmax'"),
+        ("p: [0, 210]", "p: [10, 2]", r":25:20: .*gen1.p: \(10, 2\): the minimum 10 is above the maximum 2"),
+        ("p: [0, 210]", "p: 210", r":25:20: .*gen1.p: 210: must be a pair"),
+        ("bus: 3, p: [0, 520]", "bus: 33, p: [0, 520]", r":26:12: .*gen3.bus: '33': there is no such bus"),
+        ('bus: "*"', 'bus: "9"', r":34:13: network.storages.cell\*.bus: '9': there is no such bus"),
+        ("cell*:", "cell:", r"cell.bus: '\*': for one at every bus the name needs a \* too"),
+        ("r: 0.00281, x: 0.0281", "r: 0, x: 0", r":18:5: network.branches.1-2.*impedance must not be zero"),
+        ("{bus: 2, p: 300", "{bus: 2, p: .nan", ":30:21: network.loads.load2.p: nan: must be a finite number"),
+        ("cost: {c2: 0.0010, c1: 15}", "cost: {c2: -1}", ":25:73: .*must be convex"),
+        ("cost: {c2: 0.0010, c1: 15}", "cost: 15", r"gen1.cost: 15: must be a Polynomial .* in a file \{c2"),
+        ("  buses:\n", "  busses:\n", r":11:3: network.busses: unknown key; did you mean 'buses'"),
+        ("first: 8", "first: 20", ":40:5: profiles.1.step: a step needs 0 <= first <= last"),
+        ("loads: [load4], first: 8", "loads: [load9], first: 8", "no load is named 'load9'; did you mean 'load"),
+        ("- scale:", "- scael:", ":39:5: profiles.0.scael: there is no profile 'scael'; did you mean 'scale'"),
+        ("factor: 1.06", "factr: 1.06", ":39:13: profiles.0.scale.factr: profile 'scale' has no option 'factr'"),
+        ("factor: 1.06", "factor: big", ":39:13: profiles.0.scale.factor: .*valid number"),
+        ("economic:", "economics:", ":45:3: cost.economics: there is no objective 'economics'; did you mean"),
+        ("reactive_weight:", "reactive_wait:", ":45:14: .*has no option 'reactive_wait'; did you mean"),
+        ("formulation: ac", "formulation: acc", ":49:3: controller.formulation: there is no formulation 'acc'"),
+        ("formulation: ac", "solver: nosuch", ":49:3: controller.solver: there is no solver 'nosuch'"),
+        ("formulation: ac", "solver: {nam: x}", ":49:12: controller.solver.nam: unknown key; did you mean 'name'"),
+        ("base_mva: 100", "base_mva: -1", "base_mva = -1: must be a positive number"),
+        ("base_mva: 100", "file: nofile.m", ":10:3: network.file: .*nofile.m: there is no such file"),
+        ("step: 1.0", "step: 0", ":36:8: time.step: 0: input should be greater than 0"),
+        ("time: {", "time: !!python/object:os.system {", ":36:1: the tag .* is not accepted"),
+        ("  buses:", "  buses: [", "not YAML"),
+        ("name: case5-step", "name: a\nname: b", "not YAML: found duplicate key"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, tmp_path: Path) -> None:
+    assert old in CASE5
+    path = write(tmp_path, CASE5.replace(old, new, 1))
+    with pytest.raises(ScenarioError, match=message) as caught:
+        om.load_scenario(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "a scenario is a mapping"),
+        ("- 1\n- 2\n", "a scenario is a mapping"),
+        ("network: 3\n", "network: 3: input should be a valid dictionary"),
+        ("network: {}\n", "has no bus in service"),
+        ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),
+        ("network: {buses: {a: 3}}\n", "must be a mapping from fields to values"),
+        (MINIMAL + "cost: [1]\n", "cost"),
+        (MINIMAL + "cost: []\n", "needs at least one objective"),
+        (MINIMAL + "profiles: [{a: 1, b: 2}]\n", "one name with its options, not 2 keys"),
+        (MINIMAL + "a: &a [1,1]\nb: &b [*a,*a]\n", "unknown key"),
+    ],
+)
+def test_odd_documents(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        om.load_scenario(write(tmp_path, text))
+
+
+def test_a_file_that_cannot_be_read_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="there is no such file"):
+        om.load_scenario(tmp_path / "none.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        om.load_scenario(tmp_path / "binary.yaml")
+
+
+def test_aliases_cannot_blow_a_file_up(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 8) + "]" for i in range(1, 10)]
+    with pytest.raises(ScenarioError, match="expands to more than"):
+        om.load_scenario(write(tmp_path, "\n".join(lines)))
+
+
+@given(data=st.data())
+@settings(max_examples=60)
+def test_a_damaged_file_gives_an_owned_error_or_a_sound_scenario(
+    data: st.DataObject, tmp_path_factory
+) -> None:
+    lines = CASE5.splitlines(keepends=True)
+    number = data.draw(st.integers(6, len(lines) - 1))
+    line = lines[number]
+    at = data.draw(st.integers(0, max(len(line) - 1, 0)))
+    junk = data.draw(
+        st.sampled_from(["", "x", "-", ":", "[", "{", "1e9", "null", "'", "\t", "&a", "*b", "!t "])
+    )
+    lines[number] = line[:at] + junk + line[at + 1 :]
+    path = tmp_path_factory.mktemp("damaged") / "scenario.yaml"
+    path.write_text("".join(lines))
+    try:
+        om.load_scenario(path)
+    except OpfmodelError as error:
+        assert str(path.name) in str(error)

@@ -1,0 +1,118 @@
+"""The closed loop: the paper's 5-bus system, failures, and what is recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import SCENARIOS, two_bus
+
+import opfmodel as om
+from opfmodel.check import check, losses
+from opfmodel.errors import ModelError
+from opfmodel.simulation import Run, single_stage
+
+WAVE = {"town.p": [60, 80, 100, 100, 70, 60, 80, 90], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
+
+
+def problem(horizon: int, series: dict = WAVE) -> om.MultiStage:
+    grid = two_bus()
+    grid.update("coal", ramp=40)
+    return om.MultiStage(grid, horizon, profiles=series)
+
+
+@pytest.fixture(scope="module")
+def step() -> tuple[om.Scenario, Run]:
+    scenario = om.load_scenario(SCENARIOS / "case5-step.yaml")
+    return scenario, scenario.simulate()
+
+
+def series(scenario: om.Scenario) -> dict[str, np.ndarray]:
+    return {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+
+
+def test_the_cost_of_the_5_bus_step_system(step: tuple[om.Scenario, Run]) -> None:
+    _, run = step
+    assert run.status == "done"
+    assert len(run.steps) == 49
+    assert run.cost == pytest.approx(972.61e3, rel=5e-4)
+
+
+def test_every_limit_holds_in_every_step(step: tuple[om.Scenario, Run]) -> None:
+    scenario, run = step
+    report = check(scenario.network, run.data, series(scenario))
+    assert report.max_violation <= 1e-6, str(report)
+    data = run.data
+    assert data["e"].values.min() >= -1e-5
+    assert data["e"].values.max() <= 200 + 1e-5
+    ramp = np.array([g.ramp for g in scenario.network.of(om.Generator).values()])
+    assert (np.abs(np.diff(data["pg"].values, axis=0)) <= ramp + 1e-5).all()
+
+
+def test_energy_is_conserved_in_every_step(step: tuple[om.Scenario, Run]) -> None:
+    scenario, run = step
+    d = run.data
+    balance = d["pg"].sum("generator") - d["pd"].sum("bus") - d["ps"].sum("storage")
+    assert losses(scenario.network, d) == pytest.approx(balance.values, abs=1e-4)
+
+
+def test_storage_discharges_when_demand_is_high_and_charges_when_it_is_low(step) -> None:
+    _, run = step
+    power = run.data["ps"].sum("storage").values
+    assert (power[8:16] < -1).all()
+    assert (power[30:41] > 1).all()
+
+
+def test_the_loop_is_the_sequence_of_its_plans() -> None:
+    made = problem(4)
+    run = om.simulate(made, steps=3)
+    assert run.data["pd"].sel(bus="south").values == pytest.approx(WAVE["town.p"][:3])
+    assert run.data["e"].values[1:] == pytest.approx(run.data["e_next"].values[:-1], abs=1e-9)
+    state = None
+    for time in range(3):
+        plan = made.solve(time, state)
+        assert run.data["pg"].values[time] == pytest.approx(plan.data["pg"].values[0], abs=2e-3)
+        state = plan.next_state()
+    assert run.cost == pytest.approx(float(run.data["cost_rate"].sum()))
+
+
+def test_one_program_serves_the_whole_run() -> None:
+    made = problem(4)
+    program = made.compile()
+    om.simulate(made, steps=5)
+    assert made.compile() is program
+
+
+def test_a_failure_ends_the_run_and_keeps_what_was_done() -> None:
+    hopeless = {**WAVE, "town.p": [60, 60, 60, 60, 60, 400, 60, 60]}
+    run = om.simulate(problem(3, hopeless), steps=6)
+    assert run.status == "locally_infeasible"
+    assert run.termination.startswith("step 3: infeasible")
+    assert len(run.steps) == 3
+    assert run.data.sizes["time"] == 3
+    assert run.summary()["steps"] == 3
+
+
+def test_an_interrupt_keeps_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    def press(run: Run) -> None:
+        if len(run.steps) == 2:
+            raise KeyboardInterrupt
+
+    run = om.simulate(problem(3), steps=5, on_step=press)
+    assert (run.status, run.termination) == ("stopped", "interrupted after 2 steps")
+    assert run.data.sizes["time"] == 2
+
+
+def test_series_that_are_too_short_are_said_before_anything_is_solved() -> None:
+    with pytest.raises(
+        ModelError, match="7 steps with a horizon of 3 need time series of 9 values; the shortest has 8"
+    ):
+        om.simulate(problem(3), steps=7)
+    with pytest.raises(ModelError, match="steps = 0"):
+        om.simulate(om.MultiStage(two_bus()), steps=0)
+
+
+def test_single_stage_is_without_storage_and_ramps() -> None:
+    plan = single_stage(problem(4), time=2)
+    assert "ps" not in plan.data
+    assert plan.data["pd"].sel(bus="south").values == pytest.approx([100])
+    assert plan.data["pg"].values[0, 0] > 100
