@@ -181,8 +181,6 @@ class Model:
         Whether the formulation balances reactive power.
     zones
         Balance row of each bus.
-    generator_delay
-        1 if the dispatch of the first stage is given, 0 if it is decided.
     series
         ``(kind, field)`` pairs that have time series.
     """
@@ -195,7 +193,6 @@ class Model:
         *,
         reactive: bool,
         zones: Index,
-        generator_delay: int = 0,
         series: Iterable[tuple[str, str]] = (),
     ) -> None:
         self.network = network
@@ -203,7 +200,6 @@ class Model:
         self.step = step
         self.reactive = reactive
         self.zones = zones
-        self.generator_delay = generator_delay
         self.build = ProgramBuilder(f"{network.name}, {stages} stages of {step:g} h")
         self.published: dict[str, Published] = {}
         self.states: dict[str, State] = {}
@@ -268,7 +264,7 @@ class Model:
         """Declare a dispatched quantity, limited in its change from stage to stage.
 
         ``|x(k) - x(k-1)| <= ramp * step``, for the first stage with respect to what was applied
-        last. With a delay of 1 the first stage is given.
+        last.
 
         Parameters
         ----------
@@ -291,7 +287,7 @@ class Model:
             if self.stages > 1 and ramped.size:
                 change = moving[:, 1:] - moving[:, :-1]
                 self.rows(kind, f"{name}_ramp", change, floor, limit)
-            if self.generator_delay == 0 and ramped.size:
+            if ramped.size:  # bounds decide in every solve whether it counts
                 before = self.build.parameter(f"{name}_previous", ramped.size)
                 self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit)
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
@@ -311,13 +307,18 @@ class Model:
         """Declare a state with ``stages + 1`` points, whose first point is the initial value.
 
         The points at the start of each stage are published as ``name``, those at its end as
-        ``name_next``.
+        ``name_next``. Rows that tie the last point to the first are free unless a solve asks for
+        a cyclic end.
         """
         values = self.variable(kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False)
         self.publish(
             kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage"
         )
         self.publish(kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at its end")
+        self.build.add(
+            values[:, -1:] - values[:, :1],
+            into=self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf),
+        )
         self.states[name] = State(name, kind, unit, "stock", initial)
         return values
 

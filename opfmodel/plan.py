@@ -192,7 +192,6 @@ class MultiStage:
             self.step,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
-            generator_delay=self.generator_delay,
             series=self.profiles.fields(self.arrays),
         )
         self.formulation.declare(model)
@@ -237,9 +236,6 @@ class MultiStage:
             if state.role == "stock":
                 last = model.published[f"{state.name}_next"].values[:, -1:]
                 build.minimize(-price * last)
-                if self.end.cyclic:
-                    first = model.published[state.name].values[:, :1]
-                    build.constrain(f"{state.name}_cyclic", last - first == 0.0)
 
     def _constrain(self, model: Model, name: str, constraint: Callable[[Stage], Constraint]) -> None:
         stated = constraint(_PhysicalStage(model))
@@ -269,7 +265,7 @@ class MultiStage:
         previous
             An earlier plan of this problem to start from; it is shifted by the difference in time.
         end
-            Another minimum or price at the end of the horizon, for this solve.
+            Something else to ask at the end of the horizon, for this solve.
 
         Returns
         -------
@@ -278,8 +274,6 @@ class MultiStage:
         """
         model, program, session = self._compiled
         end = self.end if end is None else end
-        if end.cyclic != self.end.cyclic:
-            raise ModelError("cyclic is part of the compiled problem; give it to MultiStage(end=...)")
         network = self.arrays.with_series(self.profiles.window(self.arrays, time, self.horizon))
         numbers = _Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
@@ -350,20 +344,22 @@ class _Numbers:
                     f"initial {name}: {self.program.variables[name].items} numbers are needed, "
                     f"one per {state.kind}, not {values!r}"
                 )
-        if state.role == "stock" or delay == 1:
-            if values is not None:
-                lower, upper = self._bounds(name)
-                lower[:, 0] = upper[:, 0] = values
-        elif f"{name}_ramp_first" in self.program.rows:
-            lower, upper = self._bounds(f"{name}_ramp_first")
-            if values is None:
+        if (state.role == "stock" or delay == 1) and values is not None:
+            lower, upper = self._bounds(name)
+            lower[:, 0] = upper[:, 0] = values
+        if f"{name}_ramp_first" in self.program.rows:
+            if values is None or delay == 1:
+                lower, upper = self._bounds(f"{name}_ramp_first")
                 lower[:], upper[:] = -np.inf, np.inf
             else:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End) -> None:
-        """State the minimum and the price at the end of the horizon."""
+        """State what is asked at the end of the horizon."""
         if self.model.states[name].role == "stock":
+            if end.cyclic:
+                lower, upper = self._bounds(f"{name}_cyclic")
+                lower[:] = upper[:] = 0.0
             if end.minimum > 0:
                 lower, upper = self._bounds(name)
                 lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])

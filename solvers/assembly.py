@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
+from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic
 from solvers.program import Array, Index, Placement, Program
-from solvers.template import Degree
 
 __all__ = ["Assembly", "Evaluator"]
 
@@ -41,45 +41,53 @@ class Assembly:
         self._p = ca.MX.sym("p", program.n_parameters)
 
     @cached_property
-    def _cost(self) -> Any:
-        return self._scatter(self.program.costs, 1)
+    def costs(self) -> Quadratic:
+        """The costs, folded as far as they are quadratic."""
+        return fold_quadratic(self.program, self.program.costs)
 
     @cached_property
-    def _rows(self) -> Any:
-        return self._scatter(self.program.constraints, self.program.n_rows)
+    def constraints(self) -> Affine:
+        """The rows, folded as far as they are affine."""
+        return fold_affine(self.program, self.program.constraints, self.program.n_rows)
+
+    @cached_property
+    def cones(self) -> Affine:
+        """The values of the cones, folded as far as they are affine."""
+        return fold_affine(self.program, self.program.cone_values, self.program.n_cone_values)
+
+    # Functions ---------------------------------------------------------------------------
 
     @cached_property
     def oracle(self) -> Any:
         """``(x, p) -> (f, g)``."""
-        return ca.Function("nlp", [self._x, self._p], [self._cost, self._rows], ["x", "p"], ["f", "g"])
+        return ca.Function(
+            "nlp", [self._x, self._p], [self._cost[0], self._values(self.constraints)], ["x", "p"], ["f", "g"]
+        )
 
     @cached_property
     def gradient(self) -> Any:
         """``(x, p) -> (f, dense gradient of f)``."""
-        matrix = self._jacobian(self.program.costs, 1)
-        gradient = ca.densify(matrix.expression.T)
-        return ca.Function(
-            "nlp_grad_f", [self._x, self._p], [self._cost, gradient], ["x", "p"], ["f", "grad_f_x"]
-        )
+        cost, slope = self._cost
+        matrix = _SparseSum((1, self.program.n_variables))
+        self._add_jacobian(matrix, self.costs.rest)
+        gradient = ca.densify(slope + matrix.expression.T)
+        return ca.Function("nlp_grad_f", [self._x, self._p], [cost, gradient], ["x", "p"], ["f", "grad_f_x"])
 
     @cached_property
     def jacobian(self) -> Any:
         """``(x, p) -> (g, sparse Jacobian of g)``."""
-        matrix = self._jacobian(self.program.constraints, self.program.n_rows)
-        return ca.Function(
-            "nlp_jac_g", [self._x, self._p], [self._rows, matrix.expression], ["x", "p"], ["g", "jac_g_x"]
-        )
+        values, matrix = self._values(self.constraints), self._slope(self.constraints)
+        return ca.Function("nlp_jac_g", [self._x, self._p], [values, matrix], ["x", "p"], ["g", "jac_g_x"])
 
     @cached_property
     def hessian(self) -> Any:
         """``(x, p, lam_f, lam_g) -> upper triangle of the Hessian of lam_f f + lam_g' g``."""
         lam_f = ca.MX.sym("lam_f")
         lam_g = ca.MX.sym("lam_g", self.program.n_rows)
-        matrix = self._hessian(lam_f, lam_g)
         return ca.Function(
             "nlp_hess_l",
             [self._x, self._p, lam_f, lam_g],
-            [matrix.expression],
+            [self._hessian(lam_f, lam_g)],
             ["x", "p", "lam_f", "lam_g"],
             ["triu_hess_gamma_x_x"],
         )
@@ -87,11 +95,8 @@ class Assembly:
     @cached_property
     def cone_values(self) -> Any:
         """``(x, p) -> (s, sparse Jacobian of s)``, the stacked values of all cones."""
-        placements, size = self.program.cone_values, self.program.n_cone_values
-        matrix = self._jacobian(placements, size)
-        return ca.Function(
-            "cone_values", [self._x, self._p], [self._scatter(placements, size), matrix.expression]
-        )
+        values, matrix = self._values(self.cones), self._slope(self.cones)
+        return ca.Function("cone_values", [self._x, self._p], [values, matrix])
 
     @cached_property
     def outputs(self) -> Any:
@@ -102,7 +107,29 @@ class Assembly:
         ]
         return ca.Function("outputs", [self._x, self._p], values)
 
-    # Values ------------------------------------------------------------------------------
+    # Parts of them -----------------------------------------------------------------------
+
+    @cached_property
+    def _cost(self) -> tuple[Any, Any]:
+        """The objective, and the gradient of its folded part."""
+        q, x, p = self.costs, self._x, self._p
+        curved = ca.mtimes(_constant(q.hxx), x)
+        slope = ca.DM(q.gx) + ca.mtimes(_constant(q.hxp), p)
+        cost = ca.dot(x, 0.5 * curved + slope) + ca.dot(ca.DM(q.gp), p) + q.c
+        if q.hpp.nnz:
+            cost += 0.5 * ca.dot(p, ca.mtimes(_constant(q.hpp), p))
+        return cost + self._scatter(q.rest, 1), curved + slope
+
+    def _values(self, folded: Affine) -> Any:
+        constant = ca.mtimes(_constant(folded.b), self._p) + ca.DM(folded.c)
+        affine = ca.mtimes(_constant(folded.a), self._x) + constant
+        return ca.densify(affine + self._scatter(folded.rest, folded.c.size))
+
+    def _slope(self, folded: Affine) -> Any:
+        matrix = _SparseSum(folded.a.shape)
+        matrix.add_numbers(folded.a)
+        self._add_jacobian(matrix, folded.rest)
+        return matrix.expression
 
     def _local(self, placement: Placement) -> tuple[Any, Any]:
         return _gather(self._x, placement.variables), _gather(self._p, placement.parameters)
@@ -111,52 +138,41 @@ class Assembly:
         return function.map(placement.count)(*self._local(placement), *more)
 
     def _scatter(self, placements: Sequence[Placement], size: int) -> Any:
-        """Sum of the outputs of all placements, each added where it belongs."""
+        """Sum of the outputs of placements, each added where it belongs."""
         if not placements:
             return ca.MX.zeros(size, 1)
         values = [ca.vec(self._map(p.template.value, p)) for p in placements]
         target = np.concatenate([p.into.ravel(order="F") for p in placements])
         return ca.densify(ca.mtimes(_selection(size, target), ca.vertcat(*values)))
 
-    # Derivatives -------------------------------------------------------------------------
-
-    def _jacobian(self, placements: Sequence[Placement], size: int) -> _SparseSum:
-        matrix = _SparseSum((size, self.program.n_variables))
-        fixed = self.program.fixed_parameters
-        data = self.program.default.parameters
+    def _add_jacobian(self, matrix: _SparseSum, placements: Sequence[Placement]) -> None:
         for placement in placements:
             template = placement.template
             outputs, variables = template.jacobian_pattern
             rows, columns = placement.into[outputs], placement.variables[variables]
-            if template.degree <= Degree.LINEAR and _is_data(placement, fixed, 1):
-                local = placement.parameters
-                values = _evaluate_map(template.jacobian, np.zeros(placement.variables.shape), data[local])
-                matrix.add_numbers(rows, columns, values)
-            else:
-                matrix.add(rows, columns, self._map(template.jacobian, placement))
-        return matrix
+            matrix.add(rows, columns, self._map(template.jacobian, placement))
 
-    def _hessian(self, lam_f: Any, lam_g: Any) -> _SparseSum:
+    def _hessian(self, lam_f: Any, lam_g: Any) -> Any:
         n = self.program.n_variables
         matrix = _SparseSum((n, n))
+        matrix.add_numbers(sp.triu(self.costs.hxx, format="csc"), lam_f)
         padded = ca.vertcat(lam_g, 0)  # position -1, a discarded output, has weight zero
-        for placements, constraint in ((self.program.costs, False), (self.program.constraints, True)):
-            for placement in placements:
-                template = placement.template
-                if template.degree < Degree.QUADRATIC:
-                    continue
-                if constraint:
-                    into = np.where(placement.into < 0, lam_g.numel(), placement.into)
-                    weights = _gather(padded, into)
-                else:
-                    weights = ca.repmat(lam_f, template.n_outputs, placement.count)
-                i, j = template.hessian_pattern
-                first, second = placement.variables[i], placement.variables[j]
-                values = self._map(template.hessian, placement, weights)
-                # d2/dx_i dx_j and d2/dx_j dx_i of two local variables at one place both land there
-                twice = np.where((first == second) & (i != j)[:, None], 2.0, 1.0)
-                matrix.add(np.minimum(first, second), np.maximum(first, second), values, twice)
-        return matrix
+        for placement in self.costs.rest:
+            weights = ca.repmat(lam_f, 1, placement.count)
+            self._add_hessian(matrix, placement, weights)
+        for placement in self.constraints.rest:
+            into = np.where(placement.into < 0, lam_g.numel(), placement.into)
+            self._add_hessian(matrix, placement, _gather(padded, into))
+        return matrix.expression
+
+    def _add_hessian(self, matrix: _SparseSum, placement: Placement, weights: Any) -> None:
+        template = placement.template
+        i, j = template.hessian_pattern
+        first, second = placement.variables[i], placement.variables[j]
+        # d2/dx_i dx_j and d2/dx_j dx_i of two local variables at one place both land there
+        twice = np.where((first == second) & (i != j)[:, None], 2.0, 1.0)
+        values = self._map(template.hessian, placement, weights)
+        matrix.add(np.minimum(first, second), np.maximum(first, second), values, twice)
 
 
 class _SparseSum:
@@ -167,10 +183,9 @@ class _SparseSum:
         self._keys: list[npt.NDArray[np.int64]] = []
         self._factors: list[Array] = []
         self._values: list[Any] = []
-        self._number_keys: list[npt.NDArray[np.int64]] = []
-        self._numbers: list[Array] = []
+        self._constant: tuple[npt.NDArray[np.int64], Array, Any] | None = None
 
-    def _key(self, rows: Index, columns: Index) -> npt.NDArray[np.int64]:
+    def _key(self, rows: npt.NDArray[Any], columns: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
         flat = columns.astype(np.int64) * self._shape[0] + rows
         return np.where(rows < 0, -1, flat).ravel(order="F")
 
@@ -181,31 +196,27 @@ class _SparseSum:
             self._factors.append(np.ones(rows.size) if factor is None else factor.ravel(order="F"))
             self._values.append(ca.vec(values))
 
-    def add_numbers(self, rows: Index, columns: Index, values: Array) -> None:
-        """Add numbers that never change."""
-        if rows.size:
-            self._number_keys.append(self._key(rows, columns))
-            self._numbers.append(values.ravel(order="F"))
+    def add_numbers(self, matrix: sp.csc_array, scale: Any = None) -> None:
+        """Add a constant matrix, scaled by a symbol if one is given; once at most."""
+        entries = matrix.tocoo()
+        self._constant = (self._key(entries.row, entries.col), entries.data, scale)
 
     @cached_property
     def expression(self) -> Any:
         """The matrix as a sparse ``MX``."""
-        keys = np.concatenate([*self._keys, *self._number_keys, np.zeros(0, dtype=np.int64)])
-        unique, position = np.unique(keys, return_inverse=True)
+        none = np.zeros(0, dtype=np.int64)
+        fixed, numbers, scale = self._constant or (none, np.zeros(0), None)
+        unique, position = np.unique(np.concatenate([*self._keys, fixed, none]), return_inverse=True)
         discarded = int(unique.size > 0 and unique[0] < 0)
         unique, position = unique[discarded:], position - discarded
-        sparsity = _sparsity(self._shape, unique)
-        symbolic = sum(k.size for k in self._keys)
+        count = position.size - fixed.size
         constant = np.zeros(unique.size)
-        where, numbers = position[symbolic:], np.concatenate([*self._numbers, np.zeros(0)])
-        np.add.at(constant, where[where >= 0], numbers[where >= 0])
-        if not self._keys:
-            return ca.MX(ca.DM(sparsity, constant))
-        selection = _selection(unique.size, position[:symbolic], np.concatenate(self._factors))
-        nonzeros = ca.mtimes(selection, ca.vertcat(*self._values))
-        if self._number_keys:
-            nonzeros = nonzeros + ca.DM(constant)
-        return ca.MX(sparsity, ca.densify(nonzeros))
+        constant[position[count:]] = numbers
+        nonzeros = ca.MX(ca.DM(constant)) if scale is None else scale * ca.DM(constant)
+        if self._keys:
+            selection = _selection(unique.size, position[:count], np.concatenate(self._factors))
+            nonzeros = nonzeros + ca.mtimes(selection, ca.vertcat(*self._values))
+        return ca.MX(_sparsity(self._shape, unique), ca.densify(nonzeros))
 
 
 def _sparsity(shape: tuple[int, int], keys: npt.NDArray[np.int64]) -> Any:
@@ -233,17 +244,11 @@ def _gather(vector: Any, index: Index) -> Any:
     return ca.reshape(vector.nz[index.ravel(order="F").tolist()], *index.shape)
 
 
-def _is_data(placement: Placement, fixed: npt.NDArray[np.bool_], order: int) -> bool:
-    """Whether the derivatives of a placement depend on nothing that an instance may change."""
-    used = placement.template.derivative_parameters(order)
-    return bool(fixed[placement.parameters[used]].all())
-
-
-def _evaluate_map(function: Any, variables: Array, parameters: Array) -> Array:
-    """Values of a template function at every place, as an array ``(outputs, M)``."""
-    count = variables.shape[1]
-    out = function.map(count)(ca.DM(variables), ca.DM(parameters))
-    return np.asarray(out, dtype=float)
+def _constant(matrix: sp.csc_array) -> Any:
+    """A SciPy matrix as CasADi has it."""
+    rows, columns = matrix.shape
+    pattern = ca.Sparsity(rows, columns, matrix.indptr.tolist(), matrix.indices.tolist())
+    return ca.DM(pattern, matrix.data)
 
 
 class Evaluator:

@@ -139,18 +139,6 @@ class Template:
         """Largest degree among the outputs."""
         return max(self.degrees, default=Degree.CONSTANT)
 
-    def derivative_parameters(self, order: int) -> npt.NDArray[np.bool_]:
-        """Which local parameters the first or second derivatives depend on.
-
-        Parameters
-        ----------
-        order
-            1 for the Jacobian, 2 for the Hessian.
-        """
-        expression = self._jacobian if order == 1 else self._hessian
-        used = [bool(ca.depends_on(expression, q)) for q in ca.vertsplit(self.parameters)]
-        return np.array(used[: self.n_parameters], dtype=bool)
-
 
 def _degree(gradient: Any, variables: Any) -> Degree:
     """Degree of a scalar function, given the row of its first derivatives."""

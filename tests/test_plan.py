@@ -114,8 +114,9 @@ def test_numbers_change_and_the_program_does_not() -> None:
     made.solve(0)
     made.solve(2, {"pg": [80.0], "e": [50.0]}, end=om.End(minimum=0.1, price=3.0))
     assert made.compile() is program
-    with pytest.raises(ModelError, match="cyclic is part of the compiled problem"):
-        made.solve(end=om.End(cyclic=True))
+    cyclic = made.solve(initial={"e": [50.0]}, end=om.End(cyclic=True))
+    assert made.compile() is program
+    assert cyclic.data["e_next"].values[-1, 0] == pytest.approx(50, abs=1e-6)
 
 
 def test_time_series_of_limits_and_costs() -> None:

@@ -27,6 +27,8 @@ _COLD: dict[str, Any] = {
     "constr_viol_tol": 1e-7,
     "mumps_pivot_order": 5,  # METIS
     "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+    "mumps_mem_percent": 5,  # the default is ten times what is needed; clearing it takes time
     "min_refinement_steps": 0,
 }
 # Coupling in time makes the starting point a better one than a lone stage has.

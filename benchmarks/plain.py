@@ -1,0 +1,108 @@
+"""The plain recipe: one MX expression over all stages, default options of CasADi and IPOPT.
+
+It is what one writes by following CasADi's examples, on the same arrays and with the same
+vectorised formulas, so that the difference is in how the problem is assembled and solved. It
+states the problem as it is: the small weight on storage power that opfmodel adds to make the
+problem well posed is a setting of opfmodel's solver and off here, unless it is asked for.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from opfmodel.network import PerUnitNetwork
+from opfmodel.physics import branch_flow
+
+__all__ = ["PlainProblem"]
+
+
+class PlainProblem:
+    """Multi-stage AC-OPF with storage, ramps and a given initial energy."""
+
+    def __init__(
+        self, network: PerUnitNetwork, horizon: int, weight: float = 1e-3, regularisation: float = 0.0
+    ) -> None:
+        bus, branch, gen, sto = network.bus, network.branch, network.generator, network.storage
+        n, g, s = len(bus), len(gen), len(sto)
+        self.horizon, self.n = horizon, n
+        y = network.admittance
+        f, t = branch.from_bus.tolist(), branch.to_bus.tolist()
+        at_from, at_to = _incidence(n, branch.from_bus), _incidence(n, branch.to_bus)
+        at_gen, at_sto = _incidence(n, gen.bus), _incidence(n, sto.bus)
+        shunt_g, shunt_b = (
+            network.at_buses("shunt", network.shunt.g),
+            network.at_buses("shunt", network.shunt.b),
+        )
+        angle = np.full(n, np.inf)
+        angle[network.reference] = 0.0
+        limited = np.flatnonzero(np.isfinite(branch.rating)).tolist()
+        pd, qd = ca.MX.sym("pd", n, horizon), ca.MX.sym("qd", n, horizon)
+        variables, rows, cost = [], [], 0
+        lower, upper, start, row_lower, row_upper = [], [], [], [], []
+        energy: Any = sto.initial
+        before: Any = None
+        for k in range(horizon):
+            vm, va = ca.MX.sym(f"vm{k}", n), ca.MX.sym(f"va{k}", n)
+            pg, qg = ca.MX.sym(f"pg{k}", g), ca.MX.sym(f"qg{k}", g)
+            ps, qs, e = ca.MX.sym(f"ps{k}", s), ca.MX.sym(f"qs{k}", s), ca.MX.sym(f"e{k}", s)
+            variables += [vm, va, pg, qg, ps, qs, e]
+            lower += [bus.vm_min, -angle, gen.p_min, gen.q_min, sto.power_min, sto.q_min, sto.energy_min]
+            upper += [bus.vm_max, angle, gen.p_max, gen.q_max, sto.power_max, sto.q_max, sto.energy]
+            middle = [0.5 * (gen.p_min + gen.p_max), 0.5 * (gen.q_min + gen.q_max)]
+            start += [np.ones(n), np.zeros(n), *middle, np.zeros(s), np.zeros(s), sto.initial]
+            across = va[f] - va[t]
+            product = vm[f] * vm[t]
+            flows = branch_flow(y, vm[f] ** 2, vm[t] ** 2, product * ca.cos(across), product * ca.sin(across))
+            pf, qf, pt, qt = flows
+            p = at_gen @ pg - at_sto @ ps - pd[:, k] - shunt_g * vm**2 - at_from @ pf - at_to @ pt
+            q = at_gen @ qg - at_sto @ qs - qd[:, k] + shunt_b * vm**2 - at_from @ qf - at_to @ qt
+            rows += [p, q, e - energy - ps]
+            row_lower += [np.zeros(2 * n + s)]
+            row_upper += [np.zeros(2 * n + s)]
+            if limited:
+                rows += [(pf**2 + qf**2)[limited], (pt**2 + qt**2)[limited]]
+                row_lower += [np.full(2 * len(limited), -np.inf)]
+                row_upper += [np.tile(branch.rating[limited] ** 2, 2)]
+            if before is not None:
+                rows.append(pg - before)
+                row_lower.append(-gen.ramp)
+                row_upper.append(gen.ramp)
+            cost += ca.sum1(gen.c2 * pg**2 + gen.c1 * pg + gen.c0)
+            cost += weight * (ca.sumsqr(qg) + ca.sumsqr(energy)) + regularisation * (
+                ca.sumsqr(ps) + ca.sumsqr(qs)
+            )
+            energy, before = e, pg
+        self.bounds = {
+            "lbx": np.concatenate(lower),
+            "ubx": np.concatenate(upper),
+            "lbg": np.concatenate(row_lower),
+            "ubg": np.concatenate(row_upper),
+        }
+        self.start = np.concatenate(start)
+        problem = {
+            "x": ca.vertcat(*variables),
+            "p": ca.vertcat(ca.vec(pd), ca.vec(qd)),
+            "f": cost,
+            "g": ca.vertcat(*rows),
+        }
+        options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+        self.solver = ca.nlpsol("plain", "ipopt", problem, options)
+
+    def solve(self, pd: np.ndarray, qd: np.ndarray) -> dict[str, Any]:
+        """Solve for a demand of shape ``(buses, stages)`` each."""
+        demand = np.concatenate([pd.ravel(order="F"), qd.ravel(order="F")])
+        result = self.solver(x0=self.start, p=demand, **self.bounds)
+        stats = self.solver.stats()
+        return {
+            "objective": float(result["f"]),
+            "iterations": int(stats["iter_count"]),
+            "status": str(stats["return_status"]),
+        }
+
+
+def _incidence(buses: int, at: np.ndarray) -> Any:
+    """Matrix that sums component quantities at their buses."""
+    return ca.DM.triplet(at.tolist(), list(range(len(at))), np.ones(len(at)).tolist(), buses, len(at))
