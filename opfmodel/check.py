@@ -2,14 +2,15 @@
 
 This module shares no equations with the rest of the package: it works on the declared components
 and on trajectories in physical units, with complex arithmetic, and knows neither programs nor
-solvers. What it finds is evidence about them.
+solvers. What it finds is evidence about them. A trajectory is held against the physics of the
+formulation that it says it was made with.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,7 @@ __all__ = ["Report", "Violation", "check", "economic_cost", "losses"]
 
 Array = npt.NDArray[np.float64]
 Series = Mapping[str, npt.ArrayLike]
+Flows = dict[str, tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class Report:
         The largest violation by family of constraints, also where it is zero.
     cost
         Operating cost over all stages, recomputed, in $.
+    unchecked
+        What could not be verified, because the formulation is not one of this package.
     simultaneous
         Largest power in p.u. by which a storage with losses charges and discharges at once; it
         is no violation but says that the storage model was not tight.
@@ -73,6 +77,7 @@ class Report:
     violations: dict[str, Violation] = field(default_factory=dict)
     cost: float = 0.0
     simultaneous: float = 0.0
+    unchecked: tuple[str, ...] = ()
 
     @property
     def max_violation(self) -> float:
@@ -99,15 +104,16 @@ def check(
     first: int = 0,
     previous_pg: Mapping[str, float] | None = None,
 ) -> Report:
-    """Recompute every constraint of an AC trajectory and its operating cost.
+    """Recompute every constraint of a trajectory and its operating cost.
 
     Parameters
     ----------
     network
         The declared network.
     data
-        Trajectories as in ``plan.data`` or ``run.data``: ``vm``, ``va``, ``pg``, ``qg`` and, with
-        storage, ``ps``, ``qs``, ``e``, ``e_next``, in physical units, over ``time``.
+        Trajectories as in ``plan.data`` or ``run.data``, in physical units, over ``time``: for AC
+        ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
+        attribute ``formulation`` names the physics, AC by default.
     series
         Time series by ``"component.field"``; other fields are constant.
     first
@@ -129,7 +135,7 @@ def economic_cost(network: Network, data: xr.Dataset, series: Series | None = No
 
 def losses(network: Network, data: xr.Dataset) -> Array:
     """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
-    flows = _Checker(network, data, {}, 0).branch_flows()
+    flows = _ac_flows(_Checker(network, data, {}, 0))
     total: Array = np.sum([f.real + t.real for f, t in flows.values()], axis=0)
     return total * network.base_mva
 
@@ -146,15 +152,18 @@ class _Checker:
         self.times = np.asarray(data["time"].values, dtype=float)
         self.step = float(data.attrs.get("step_hours", 1.0))
         self.buses = {n: b for n, b in network.of(Bus).items() if n in set(data["bus"].values)}
+        self.reactive = "qg" in data
         self.report = Report()
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
         """Check everything."""
-        self.check_voltages()
-        self.check_branches()
         self.check_generators(previous_pg)
         self.check_storages()
-        self.check_balance()
+        flows = _FLOWS.get(str(self.data.attrs.get("formulation", "ac")))
+        if flows is None:
+            self.report.unchecked = ("network",)
+        else:
+            self.check_network(flows(self))
         self.report.cost = float(self.cost_rate().sum() * self.step)
         return self.report
 
@@ -201,35 +210,19 @@ class _Checker:
 
     # Network -----------------------------------------------------------------------------
 
-    def voltage(self, bus: str) -> Any:
-        """Complex voltage of a bus, p.u."""
-        angle = np.deg2rad(self.value("va", bus))
-        return self.value("vm", bus) * (np.cos(angle) + 1j * np.sin(angle))
+    def voltage_squared(self, bus: str) -> Array:
+        """Squared voltage magnitude of a bus, p.u.; 1 where the formulation has none."""
+        if "w" in self.data:
+            return self.value("w", bus)
+        return self.value("vm", bus) ** 2 if "vm" in self.data else np.ones(len(self.times))
 
-    def check_voltages(self) -> None:
-        """Voltage magnitudes lie in their range."""
+    def check_network(self, flows: Flows) -> None:
+        """Voltages, flows as reported, ratings, angle differences and the balance of every bus."""
         for name, bus in self.buses.items():
             low, high = self.bounds(name, "vm", bus.vm)
-            self.inside("voltage", name, self.value("vm", name), low, high, 1.0)
-
-    def branch_flows(self) -> dict[str, tuple[Any, Any]]:
-        """Complex power into both ends of each branch, p.u."""
-        flows = {}
-        for name, branch in self.of(Branch, "branch").items():
-            series = 1 / complex(branch.r, branch.x)
-            from_end = complex(branch.g / 2 + branch.g_from, branch.b / 2 + branch.b_from)
-            to_end = complex(branch.g / 2 + branch.g_to, branch.b / 2 + branch.b_to)
-            ratio = cmath.rect(branch.tap, math.radians(branch.shift))
-            v_from, v_to = self.voltage(branch.from_bus), self.voltage(branch.to_bus)
-            behind = v_from / ratio  # voltage behind the ideal transformer
-            current_behind = (behind - v_to) * series + behind * from_end
-            current_to = (v_to - behind) * series + v_to * to_end
-            flows[name] = (behind * current_behind.conj(), v_to * current_to.conj())
-        return flows
-
-    def check_branches(self) -> None:
-        """Flows as reported, ratings at both ends, angle differences."""
-        for name, (at_from, at_to) in self.branch_flows().items():
+            if self.reactive:
+                self.inside("voltage", name, np.sqrt(self.voltage_squared(name)), low, high, 1.0)
+        for name, (at_from, at_to) in flows.items():
             branch = self.network[name]
             assert isinstance(branch, Branch)
             for end, p, q in ((at_from, "pf", "qf"), (at_to, "pt", "qt")):
@@ -239,35 +232,62 @@ class _Checker:
                         self.note("reported flow", name, difference, 1.0)
                 rating = self.declared(name, "rating", branch.rating)
                 self.note("branch rating", name, np.abs(end) - rating / self.base, 1.0)
-            low, high = branch.angle
-            if low > -360 or high < 360:
-                angle = self.value("va", branch.from_bus) - self.value("va", branch.to_bus)
-                bounds = (np.full(angle.shape, low), np.full(angle.shape, high))
-                self.inside("angle difference", name, angle, *bounds, math.degrees(1.0))
+            least, most = branch.angle
+            if least > -360 or most < 360:
+                bounds = (np.full(len(self.times), least), np.full(len(self.times), most))
+                self.inside("angle difference", name, self.angle(name, branch), *bounds, math.degrees(1.0))
+        self.check_balance(flows)
 
-    def check_balance(self) -> None:
-        """Complex power is balanced at every bus."""
+    def angle(self, name: str, branch: Branch) -> Array:
+        """Angle across a branch, degrees."""
+        if "va" in self.data:
+            return self.value("va", branch.from_bus) - self.value("va", branch.to_bus)
+        return np.rad2deg(np.arctan2(self.value("wi", name), self.value("wr", name)))
+
+    def injections(self) -> dict[str, Any]:
+        """Complex power that devices and shunts put into each bus, p.u."""
         total = {bus: np.zeros(len(self.times), dtype=complex) for bus in self.buses}
         for name, generator in self.of(Generator, "generator").items():
-            total[generator.bus] += (self.value("pg", name) + 1j * self.value("qg", name)) / self.base
+            total[generator.bus] += self.power("pg", "qg", name)
         for name, storage in self.of(Storage, "storage").items():
-            total[storage.bus] -= (self.value("ps", name) + 1j * self.value("qs", name)) / self.base
+            total[storage.bus] -= self.power("ps", "qs", name)
         for name, load in self.network.of(Load).items():
             if load.in_service and load.bus in total:
                 p, q = self.declared(name, "p", load.p), self.declared(name, "q", load.q)
                 total[load.bus] -= (p + 1j * q) / self.base
         for shunt in self.network.of(Shunt).values():
             if shunt.in_service and shunt.bus in total:
-                drawn = complex(shunt.g, -shunt.b) / self.base
-                total[shunt.bus] -= drawn * np.abs(self.voltage(shunt.bus)) ** 2
-        for name, (at_from, at_to) in self.branch_flows().items():
+                total[shunt.bus] -= complex(shunt.g, -shunt.b) / self.base * self.voltage_squared(shunt.bus)
+        return total
+
+    def power(self, active: str, reactive: str, name: str) -> Any:
+        """Complex power of a device, p.u."""
+        q = self.value(reactive, name) if self.reactive else 0.0
+        return (self.value(active, name) + 1j * q) / self.base
+
+    def check_balance(self, flows: Flows) -> None:
+        """Power is balanced at every bus, or in every island where there is no network."""
+        total = self.injections()
+        for name, (at_from, at_to) in flows.items():
             branch = self.network[name]
             assert isinstance(branch, Branch)
             total[branch.from_bus] -= at_from
             total[branch.to_bus] -= at_to
+        if self.data.attrs.get("formulation") == "copperplate":
+            total = {members[0]: sum(total[bus] for bus in members) for members in self.islands()}
         for bus, power in total.items():
             self.note("active balance", bus, np.abs(power.real), 1.0)
-            self.note("reactive balance", bus, np.abs(power.imag), 1.0)
+            if self.reactive:
+                self.note("reactive balance", bus, np.abs(power.imag), 1.0)
+
+    def islands(self) -> list[list[str]]:
+        """Buses that branches connect, by following branches from bus to bus."""
+        island = {bus: {bus} for bus in self.buses}
+        for branch in self.network.of(Branch).values():
+            if branch.in_service and branch.from_bus in island and branch.to_bus in island:
+                joined = island[branch.from_bus] | island[branch.to_bus]
+                island.update(dict.fromkeys(joined, joined))
+        return [sorted(members) for members in {id(m): m for m in island.values()}.values()]
 
     # Devices -----------------------------------------------------------------------------
 
@@ -276,9 +296,9 @@ class _Checker:
         for name, generator in self.of(Generator, "generator").items():
             pg = self.value("pg", name)
             self.inside("generator p", name, pg, *self.bounds(name, "p", generator.p), self.base)
-            self.inside(
-                "generator q", name, self.value("qg", name), *self.bounds(name, "q", generator.q), self.base
-            )
+            if self.reactive:
+                bounds = self.bounds(name, "q", generator.q)
+                self.inside("generator q", name, self.value("qg", name), *bounds, self.base)
             if generator.ramp is not None:
                 before = math.nan if previous_pg is None else previous_pg[name]
                 change = np.abs(np.diff(pg, prepend=before))
@@ -290,7 +310,8 @@ class _Checker:
         """Power, energy and apparent-power limits, and the energy balance of each storage."""
         for name, declared in self.of(Storage, "storage").items():
             storage = declared.resolved()
-            ps, qs = self.value("ps", name), self.value("qs", name)
+            ps = self.value("ps", name)
+            qs: Array = self.value("qs", name) if self.reactive else np.zeros(len(ps))
             e, e_next = self.value("e", name), self.value("e_next", name)
             for key, values, pair in (("power", ps, storage.power), ("q", qs, storage.q)):
                 ends = pair if isinstance(pair, tuple) else (-pair, pair)
@@ -328,3 +349,95 @@ class _Checker:
                 c2, c1, c0 = (self.declared(name, key, getattr(cost, key)) for key in ("c2", "c1", "c0"))
                 rate += c2 * pg**2 + c1 * pg + c0
         return rate
+
+
+# Flows of the formulations: complex power into both ends of each branch, p.u. ---------------------
+
+
+def _ac_flows(c: _Checker) -> Flows:
+    """The π model with an ideal transformer, from complex voltages."""
+    flows = {}
+    for name, branch in c.of(Branch, "branch").items():
+        v_from, v_to = _voltage(c, branch.from_bus), _voltage(c, branch.to_bus)
+        behind = v_from / cmath.rect(branch.tap, math.radians(branch.shift))  # the ideal transformer
+        series, from_end, to_end = _pi_model(branch)
+        current_behind = (behind - v_to) * series + behind * from_end
+        current_to = (v_to - behind) * series + v_to * to_end
+        flows[name] = (behind * current_behind.conj(), v_to * current_to.conj())
+    return flows
+
+
+def _voltage(c: _Checker, bus: str) -> Any:
+    angle = np.deg2rad(c.value("va", bus))
+    return c.value("vm", bus) * (np.cos(angle) + 1j * np.sin(angle))
+
+
+def _pi_model(branch: Branch) -> tuple[complex, complex, complex]:
+    """Series admittance and the shunts at the from and the to end."""
+    from_end = complex(branch.g / 2 + branch.g_from, branch.b / 2 + branch.b_from)
+    to_end = complex(branch.g / 2 + branch.g_to, branch.b / 2 + branch.b_to)
+    return 1 / complex(branch.r, branch.x), from_end, to_end
+
+
+def _soc_flows(c: _Checker) -> Flows:
+    """The π model on products of voltages, which must lie in their cone."""
+    flows = {}
+    for name, branch in c.of(Branch, "branch").items():
+        w_from, w_to = c.value("w", branch.from_bus), c.value("w", branch.to_bus)
+        product = c.value("wr", name) + 1j * c.value("wi", name)  # v_from v_to*
+        c.note("voltage products", name, np.abs(product) ** 2 - w_from * w_to, 1.0)
+        series, from_end, to_end = _pi_model(branch)
+        ratio = cmath.rect(branch.tap, math.radians(branch.shift))
+        at_from = (series + from_end).conjugate() * w_from / abs(ratio) ** 2
+        at_to = (series + to_end).conjugate() * w_to
+        across = series.conjugate() * product / ratio
+        back = series.conjugate() * product.conj() / ratio.conjugate()
+        flows[name] = (at_from - across, at_to - back)
+    return flows
+
+
+def _dc_flows(c: _Checker) -> Flows:
+    """Susceptance x / (r² + x²) times the angle."""
+    return _lossless(c, lambda branch: (-(1 / complex(branch.r, branch.x)).imag, 0.0))
+
+
+def _dc_matpower_flows(c: _Checker) -> Flows:
+    """Susceptance 1 / (x tap) times the angle behind the phase shift."""
+    return _lossless(c, lambda branch: (1 / (branch.x * branch.tap), branch.shift))
+
+
+def _lossless(c: _Checker, model: Callable[[Branch], tuple[float, float]]) -> Flows:
+    flows = {}
+    for name, branch in c.of(Branch, "branch").items():
+        susceptance, shift = model(branch)
+        flow = susceptance * np.deg2rad(c.angle(name, branch) - shift) + 0j
+        flows[name] = (flow, -flow)
+    return flows
+
+
+def _dc_losses_flows(c: _Checker) -> Flows:
+    """The lossless flow and half of a loss at either end, which must be at least g angle²."""
+    flows = {}
+    for name, (flow, _) in _dc_flows(c).items():
+        branch = c.network[name]
+        assert isinstance(branch, Branch)
+        loss = c.value("loss", name) / c.base
+        least = (1 / complex(branch.r, branch.x)).real * np.deg2rad(c.angle(name, branch)) ** 2
+        c.note("branch loss", name, np.maximum(least - loss, -loss), 1.0)
+        flows[name] = (flow + loss / 2, -flow + loss / 2)
+    return flows
+
+
+def _no_flows(_: _Checker) -> Flows:
+    return {}
+
+
+_FLOWS: dict[str, Callable[[_Checker], Flows]] = {
+    "ac": _ac_flows,
+    "ac-rectangular": _ac_flows,
+    "soc": _soc_flows,
+    "dc": _dc_flows,
+    "dc-matpower": _dc_matpower_flows,
+    "dc-losses": _dc_losses_flows,
+    "copperplate": _no_flows,
+}

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from opfmodel.components import Component
 from opfmodel.errors import ModelError, nearest
 from opfmodel.network import PerUnitNetwork, Table
-from solvers import Expression, ProgramBuilder, Rows, Sum
+from solvers import Expression, ProgramBuilder, Rows, Solution, Sum
 
 __all__ = [
     "Bound",
@@ -25,6 +25,7 @@ __all__ = [
     "Device",
     "Model",
     "NumericStage",
+    "Price",
     "Published",
     "Quantities",
     "Stage",
@@ -133,6 +134,22 @@ class Published:
 
 
 @dataclass(frozen=True)
+class Price:
+    """A shadow price that plans report, read from the multipliers of a solution.
+
+    Attributes
+    ----------
+    read
+        Gives the price as an array ``(items, stages)`` in $ and per unit.
+    """
+
+    kind: str
+    unit: str
+    description: str
+    read: Callable[[Solution, PerUnitNetwork], Array]
+
+
+@dataclass(frozen=True)
 class State:
     """A quantity that one problem of a receding horizon hands to the next.
 
@@ -202,6 +219,8 @@ class Model:
         self.zones = zones
         self.build = ProgramBuilder(f"{network.name}, {stages} stages of {step:g} h")
         self.published: dict[str, Published] = {}
+        self.reported: dict[str, Published] = {}
+        self.prices: dict[str, Price] = {}
         self.states: dict[str, State] = {}
         self.bounds: dict[str, BoundSource] = {}
         self.parameters: dict[str, tuple[str, str]] = {}
@@ -212,6 +231,10 @@ class Model:
         n_zones = int(zones.max()) + 1
         self.balance_p = self.build.rows("p_balance", n_zones, stages)
         self.balance_q = self.build.rows("q_balance", n_zones, stages) if reactive else None
+        self.price("bus", "lmp", self._balance_price("p_balance"), "$/MWh", "cost of one more MW of demand")
+        if reactive:
+            about = "cost of one more MVAr of demand"
+            self.price("bus", "lmp_q", self._balance_price("q_balance"), "$/MVArh", about)
 
     # Variables ---------------------------------------------------------------------------
 
@@ -287,11 +310,24 @@ class Model:
             if self.stages > 1 and ramped.size:
                 change = moving[:, 1:] - moving[:, :-1]
                 self.rows(kind, f"{name}_ramp", change, floor, limit)
+                self.price(
+                    kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
+                    "$/MW", "value of one more MW of change from the stage before",
+                )  # fmt: skip
             if ramped.size:  # bounds decide in every solve whether it counts
                 before = self.build.parameter(f"{name}_previous", ramped.size)
                 self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit)
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
+
+    def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
+        def read(solution: Solution, _: PerUnitNetwork) -> Array:
+            price = np.zeros((items, self.stages))
+            price[ramped, 1:] = np.abs(solution.dual(f"{name}_ramp"))
+            price[ramped, :1] = np.abs(solution.dual(f"{name}_ramp_first"))
+            return price
+
+        return read
 
     def stock(
         self,
@@ -358,6 +394,20 @@ class Model:
             raise ModelError(f"two quantities are named {name!r}")
         self.published[name] = Published(kind, unit, description, values)
 
+    def report(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
+        """Name a quantity for results alone: objectives and constraints do not see it."""
+        if name in self.published or name in self.reported:
+            raise ModelError(f"two quantities are named {name!r}")
+        self.reported[name] = Published(kind, unit, description, values)
+
+    def field(self, kind: str, field: str) -> Any:
+        """A field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""
+        return (
+            self.parameter(kind, field)
+            if (kind, field) in self._series
+            else _field(self.network.tables[kind], field)
+        )
+
     def parameter(self, kind: str, field: str) -> Expression:
         """A field of the network as a parameter, ``(items, stages)``: it may change between solves."""
         if (kind, field) not in self._fields:
@@ -368,21 +418,33 @@ class Model:
             self.parameters[name] = (kind, field)
         return self._fields[kind, field]
 
+    def price(
+        self,
+        kind: str,
+        name: str,
+        read: Callable[[Solution, PerUnitNetwork], Array],
+        unit: str,
+        description: str,
+    ) -> None:
+        """Name a shadow price: what one more unit of something is worth, whatever the back end."""
+        self.prices[name] = Price(kind, unit, description, read)
+
+    def _balance_price(self, rows: str) -> Callable[[Solution, PerUnitNetwork], Array]:
+        # more demand lowers the right-hand side of the balance
+        return lambda solution, _: -solution.dual(rows)[self.zones] / self.step
+
     # What the declarations see of each other ---------------------------------------------
 
     def __getattr__(self, kind: str) -> Quantities:
         if kind.startswith("_") or kind not in self.network.tables:
             raise AttributeError(kind)
         if kind not in self._quantities:
-            table = self.network.tables[kind]
 
             def get(name: str) -> Any:
                 published = self.published.get(name)
                 if published is not None and published.kind == kind:
                     return published.values
-                if (kind, name) in self._series:
-                    return self.parameter(kind, name)
-                return _field(table, name)
+                return self.field(kind, name)
 
             self._quantities[kind] = Quantities(kind, get, lambda: self._names(kind))
         return self._quantities[kind]

@@ -21,7 +21,7 @@ from opfmodel.errors import ComponentError, NetworkError, nearest
 from opfmodel.physics import Admittance, branch_admittance
 from opfmodel.units import scale
 
-__all__ = ["Index", "PerUnitNetwork", "Table", "per_unit"]
+__all__ = ["Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

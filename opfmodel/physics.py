@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Admittance", "branch_admittance", "branch_flow", "polar_products", "storage_split"]
+__all__ = [
+    "Admittance",
+    "branch_admittance",
+    "branch_flow",
+    "polar_products",
+    "rectangular_products",
+    "storage_split",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -85,6 +92,17 @@ def polar_products(vm_f: Any, vm_t: Any, angle: Any) -> tuple[Any, Any, Any, Any
     """
     product = vm_f * vm_t
     return vm_f**2, vm_t**2, product * np.cos(angle), product * np.sin(angle)
+
+
+def rectangular_products(e_f: Any, f_f: Any, e_t: Any, f_t: Any) -> tuple[Any, Any, Any, Any]:
+    r"""Voltage products of a branch from real and imaginary parts of its voltages.
+
+    Returns
+    -------
+    w_f, w_t, w_r, w_i
+        As :func:`polar_products`.
+    """
+    return e_f**2 + f_f**2, e_t**2 + f_t**2, e_f * e_t + f_f * f_t, f_f * e_t - e_f * f_t
 
 
 def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[Any, Any, Any, Any]:

@@ -15,7 +15,7 @@ from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.errors import ModelError
 from opfmodel.formulations.base import Formulation
-from opfmodel.model import Device, Model, NumericStage, Stage
+from opfmodel.model import Device, Model, NumericStage, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
@@ -175,7 +175,9 @@ class MultiStage:
     @property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each published quantity."""
-        return {name: (p.unit, p.description) for name, p in self._compiled[0].published.items()}
+        model = self._compiled[0]
+        named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
+        return {name: (p.unit, p.description) for name, p in named.items()}
 
     # Compiling ---------------------------------------------------------------------------
 
@@ -202,7 +204,7 @@ class MultiStage:
         self._minimize(model)
         for name, constraint in self._constraints.items():
             self._constrain(model, name, constraint)
-        for name, published in model.published.items():
+        for name, published in {**model.published, **model.reported}.items():
             model.build.output(name, published.values)
         program = model.build.build()
         session = prepare(program, self.solver, self.options, self.verbose)
@@ -502,10 +504,8 @@ class Plan:
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``."""
-        return {
-            (published.kind, name): self.solution.value(name)
-            for name, published in self._model.published.items()
-        }
+        named = {**self._model.published, **self._model.reported}
+        return {(p.kind, name): self.solution.value(name) for name, p in named.items()}
 
     def next_state(self) -> dict[str, Array]:
         """The states after the first stage has been applied, in physical units."""
@@ -526,15 +526,13 @@ class Plan:
         """All published quantities and the demand, in physical units, over ``time`` and components."""
         from opfmodel.results import dataset
 
-        published = {
-            name: (p.kind, p.unit, p.description, self.solution.value(name))
-            for name, p in self._model.published.items()
+        named = {**self._model.published, **self._model.reported}
+        values = {
+            name: (p.kind, p.unit, p.description, self.solution.value(name)) for name, p in named.items()
         }
-        made = dataset(self._network, published, self.times)
-        prices = -self.solution.dual("p_balance")[self._model.zones] / self.problem.step
-        unit = "$/MWh"
-        made["lmp"] = (("time", "bus"), (prices * scale(unit, self._network.base_mva)).T)
-        made["lmp"].attrs = {"units": unit, "long_name": "cost of one more MW of demand"}
+        for name, price in self._model.prices.items():
+            values[name] = (price.kind, price.unit, price.description, self.price(name))
+        made = dataset(self._network, values, self.times)
         made.attrs |= {
             "network": self._network.name,
             "formulation": self.problem.formulation.name,
@@ -543,7 +541,32 @@ class Plan:
             "step_hours": self.problem.step,
             "cost": self.objective,
         }
+        if self.problem.formulation.relaxed:
+            made.attrs["largest_cone_slack"] = self.cone_slack
         return made
+
+    def price(self, name: str) -> Array:
+        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``rating_price``, ..."""
+        return self._model.prices[name].read(self.solution, self._network)
+
+    def prices(self) -> dict[tuple[str, str], Array]:
+        """All shadow prices by ``(kind, name)``; see :meth:`price`."""
+        return {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
+
+    @property
+    def cone_slack(self) -> float:
+        """Largest slack of the cones that stand for an equation, p.u.; 0 where a relaxation is exact."""
+        slacks = [0.0]
+        for name in self.problem.formulation.relaxed:
+            if name in self.solution.program.cones:
+                values = self.solution.program.cones[name].read(self.solution.cones)
+                slacks.append(float((values[0] - np.linalg.norm(values[1:], axis=0)).max(initial=0.0)))
+        return max(slacks)
+
+    def relaxation_gap(self, exact: Plan | float) -> float:
+        """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""
+        other = exact.objective if isinstance(exact, Plan) else float(exact)
+        return (other - self.objective) / abs(other)
 
     @property
     def times(self) -> Array:

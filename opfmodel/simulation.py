@@ -83,7 +83,7 @@ class NominalPlant:
 
     def apply(self, plan: Plan) -> Step:
         """Take the first stage of the plan as what happened."""
-        values = {key: value[:, 0] for key, value in plan.quantities().items()}
+        values = {key: value[:, 0] for key, value in {**plan.quantities(), **plan.prices()}.items()}
         return Step(values, plan.next_state())
 
 

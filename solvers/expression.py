@@ -42,6 +42,7 @@ _UFUNCS: dict[np.ufunc, Callable[..., Any]] = {
     np.cos: ca.cos,
     np.exp: ca.exp,
     np.log: ca.log,
+    np.arctan2: ca.atan2,
 }
 
 # array <= expression reaches us as a ufunc with the sides in this order: turn it round
@@ -151,10 +152,10 @@ class Expression:
     def __rsub__(self, other: Any) -> Any:
         return self._combine(_UFUNCS[np.subtract], other, self)
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: Any) -> Expression:
         return self._combine(_UFUNCS[np.multiply], self, other)
 
-    def __rmul__(self, other: Any) -> Any:
+    def __rmul__(self, other: Any) -> Expression:
         return self._combine(_UFUNCS[np.multiply], other, self)
 
     def __truediv__(self, other: Any) -> Any:

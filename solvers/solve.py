@@ -147,7 +147,7 @@ def prepare(
         The back end cannot represent the program; the message names the blocks.
     """
     structure = classify(program)
-    name = choose(structure.kind) if solver == "auto" else solver
+    name = choose(program, structure.kind) if solver == "auto" else solver
     end, solver_name = find(name, structure.kind)
     if structure.kind > end.accepts:
         able = [e.name for e in back_ends().values() if e.accepts >= structure.kind]
@@ -159,9 +159,22 @@ def prepare(
     return end.prepare(program, solver_name, dict(options or {}), verbose)
 
 
-def choose(kind: Kind) -> str:  # noqa: ARG001 - one back end so far
-    """The back end that ``"auto"`` stands for."""
-    return "ipopt"
+# Up to how many variables "auto" prefers Clarabel, which certifies optima and infeasibility of convex
+# programs, to IPOPT, which is faster on large ones. docs/backends.md has the measurements.
+_MOST_FOR_QP = 5_000
+_MOST_FOR_CONIC = 20_000
+
+
+def choose(program: Program, kind: Kind) -> str:
+    """The back end that ``"auto"`` stands for, by kind and size of the program."""
+    if kind <= Kind.QUADRATIC and program.n_variables <= _MOST_FOR_QP:
+        wanted = "qp"
+    elif kind <= Kind.CONIC and program.n_variables <= _MOST_FOR_CONIC:
+        wanted = "conic" if kind == Kind.CONIC else "ipopt"
+    else:
+        wanted = "ipopt"
+    end = back_ends().get(wanted)
+    return wanted if end is not None and next(end.solvers(), None) is not None else "ipopt"
 
 
 def _blocks(names: tuple[str, ...]) -> str:

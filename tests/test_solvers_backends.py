@@ -37,7 +37,7 @@ def test_multipliers_have_the_documented_signs() -> None:
     x = build.variable("x", 2, lower=[0.0, -10.0], upper=[10.0, 2.0])
     build.minimize(x**2 - np.array([-4.0, 12.0]) * x)
     build.constrain("low", x[1:] + x[:1] >= 1.0)
-    solution = solvers.solve(build.build(), options={"tol": 1e-10})
+    solution = solvers.solve(build.build(), "ipopt", options={"tol": 1e-10})
     assert_allclose(solution.value("x").ravel(), [0.0, 2.0], atol=1e-8)
     assert_allclose(
         solution.bound_dual("x").ravel(), [-4.0, 8.0], atol=1e-6
@@ -53,7 +53,7 @@ def test_a_multiplier_is_the_change_of_the_optimum() -> None:
         d = build.parameter("d", 1, value=demand)
         build.minimize(3 * x**2)
         build.constrain("balance", x - d == 0.0)
-        return solvers.solve(build.build(), options={"tol": 1e-10})
+        return solvers.solve(build.build(), "ipopt", options={"tol": 1e-10})
 
     slope = (optimum(2.001).objective - optimum(1.999).objective) / 0.002
     assert -optimum(2.0).dual("balance")[0, 0] == pytest.approx(slope, rel=1e-6)
@@ -66,7 +66,7 @@ def test_cones_reach_a_nonlinear_solver_and_their_multipliers_return() -> None:
     build.minimize(t)
     build.cone("norm", t, x[:1] - 3.0, x[1:] - 4.0)
     build.constrain("fixed", x == 0.0)
-    solution = solvers.solve(build.build(), options={"tol": 1e-10})
+    solution = solvers.solve(build.build(), "ipopt", options={"tol": 1e-10})
     assert solution.objective == pytest.approx(5.0, abs=1e-7)
     assert_allclose(solution.cone_dual("norm").ravel(), [1.0, 0.6, 0.8], atol=1e-6)
     assert solution.dual_residual < 1e-6

@@ -6,7 +6,7 @@ import numpy as np
 
 from opfmodel.components import Storage
 from opfmodel.model import Device, Model
-from opfmodel.network import Index, Table
+from opfmodel.network import Array, Index, Table
 from solvers import Expression, Rows
 
 __all__ = ["StorageDevice"]
@@ -33,9 +33,8 @@ class StorageDevice(Device):
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``ps``, ``qs`` and ``e``."""
         n, step = len(table), model.step
-        ps = model.variable(
-            "storage", "ps", "power_min", "power_max", unit="MW", description="charging power"
-        )
+        low, high = ("power_min", "power_max") if model.reactive else (_lowest, _highest)
+        ps = model.variable("storage", "ps", low, high, unit="MW", description="charging power")
         e = model.stock(
             "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
         )
@@ -47,6 +46,13 @@ class StorageDevice(Device):
         model.inject(table.bus, p=-ps, q=None if qs is None else -qs)
         if not n:
             return
+        model.price(
+            "storage",
+            "e_price",
+            lambda solution, _: solution.dual("e_dynamics"),
+            "$/MWh",
+            "value of one more MWh stored at the end of the stage",
+        )
         kept = 1.0 - step * table.standing_loss
         change = e[:, 1:] - kept * e[:, :-1]
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
@@ -78,3 +84,18 @@ class StorageDevice(Device):
             least = _OVERLAP * most_charge[exclusive] * most_discharge[exclusive]
             rows = model.build.rows("storage_exclusive", exclusive.size, stages, -np.inf, least)
             model.build.add(charge[exclusive] * discharge[exclusive], into=rows)
+
+
+def _lowest(table: Table) -> Array:
+    """Least charging power where there is no reactive power to share the rating with."""
+    return np.maximum(_columns(table.power_min), -_columns(table.rating))
+
+
+def _highest(table: Table) -> Array:
+    """Largest charging power where there is no reactive power to share the rating with."""
+    return np.minimum(_columns(table.power_max), _columns(table.rating))
+
+
+def _columns(values: Array) -> Array:
+    """``(items,)`` as ``(items, 1)``, so that it combines with a time series."""
+    return values[:, None] if values.ndim == 1 else values

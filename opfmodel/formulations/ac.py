@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.formulations.base import Formulation, limit_angle, publish_flows, transport
+from opfmodel.formulations.base import Formulation, angles, limit_angle, publish_flows, shunts, transport
 from opfmodel.model import Model
 from opfmodel.physics import branch_flow, polar_products
 
@@ -35,12 +35,8 @@ class AC(Formulation):
         vm = model.variable(
             "bus", "vm", "vm_min", "vm_max", unit="p.u.", start=start, description="voltage magnitude"
         )
-        free = np.full(len(bus), np.inf)
-        free[network.reference] = 0.0
-        va = model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
-        g, b = network.shunt.g, network.shunt.b
-        at_shunt = vm[network.shunt.bus] ** 2
-        model.inject(network.shunt.bus, p=-g * at_shunt, q=b * at_shunt)
+        va = angles(model)
+        shunts(model, vm**2)
         f, t = branch.from_bus, branch.to_bus
         angle = va[f] - va[t]
         flows = branch_flow(network.admittance, *polar_products(vm[f], vm[t], angle))

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.errors import ModelError
 from opfmodel.model import Model
-from opfmodel.network import Index, PerUnitNetwork, Table
-from solvers import Expression
+from opfmodel.network import Array, Index, PerUnitNetwork, Table
+from solvers import Expression, Solution
 
-__all__ = ["Formulation", "limit_angle", "publish_flows", "transport"]
+__all__ = [
+    "Formulation",
+    "angles",
+    "limit_angle",
+    "limit_flows",
+    "limit_products",
+    "price_rating",
+    "publish_flows",
+    "shunts",
+    "transport",
+]
 
 
 class Formulation:
@@ -27,11 +39,14 @@ class Formulation:
         Whether reactive power is balanced.
     publishes
         Network quantities that objectives and constraints may use.
+    relaxed
+        Names of the cones that stand for an equation; their slack says how far a solution is from it.
     """
 
     name: ClassVar[str]
     reactive: ClassVar[bool]
     publishes: ClassVar[tuple[str, ...]]
+    relaxed: ClassVar[tuple[str, ...]] = ()
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
         """Balance row of each bus: by default each its own."""
@@ -40,6 +55,24 @@ class Formulation:
     def declare(self, model: Model) -> None:
         """Declare the variables of the network, add branch flows to the balance, state limits."""
         raise NotImplementedError
+
+
+def angles(model: Model) -> Expression:
+    """Declare ``va``, zero at the reference bus of every island."""
+    bus = model.network.bus
+    free = np.full(len(bus), np.inf)
+    free[model.network.reference] = 0.0
+    return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+
+
+def shunts(model: Model, vm_squared: Expression | float) -> None:
+    """Take what shunts draw at a squared voltage out of the balance of their buses."""
+    shunt = model.network.shunt
+    if not len(shunt):
+        return
+    at = vm_squared[shunt.bus] if isinstance(vm_squared, Expression) else np.full(len(shunt), vm_squared)
+    p, q = -shunt.g * at, shunt.b * at
+    model.inject(shunt.bus, p=model.build.expression(p), q=model.build.expression(q))
 
 
 def publish_flows(
@@ -84,13 +117,44 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
             for name, power in (("rating_from", flows[:2]), ("rating_to", flows[2:])):
                 rows.append(model.limit("branch", name, members.size, -np.inf, square))
                 terms.append(power[0] ** 2 + power[1] ** 2)
+
+            def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
+                slope = solution.dual("rating_from") + solution.dual("rating_to")
+                rating: Array = network.branch.rating[members]
+                return slope * 2.0 * (rating if rating.ndim == 2 else rating[:, None])
+
+            price_rating(model, members, read)
         model.build.add(terms, into=rows)
+
+
+def limit_flows(model: Model, **flows: Expression) -> None:
+    """Limit active flows in both directions where branches have a rating; one block of rows each."""
+    members = np.flatnonzero(np.isfinite(model.network.branch.rating))
+    if not members.size:
+        return
+    for name, flow in flows.items():
+        model.rows("branch", name, flow[members], lambda t: -t.rating[members], lambda t: t.rating[members])
+
+    def read(solution: Solution, _: PerUnitNetwork) -> Array:
+        return np.asarray(np.sum([np.abs(solution.dual(name)) for name in flows], axis=0))
+
+    price_rating(model, members, read)
+
+
+def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnitNetwork], Array]) -> None:
+    """Report what one more MVA of rating is worth; ``read`` gives it for the branches ``members``."""
+
+    def spread(solution: Solution, network: PerUnitNetwork) -> Array:
+        price = np.zeros((len(network.branch), model.stages))
+        price[members] = read(solution, network) / model.step
+        return price
+
+    model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")
 
 
 def limit_angle(model: Model, angle: Expression) -> None:
     """Limit the angle across the branches that have such a limit."""
-    branch = model.network.branch
-    members = np.flatnonzero((branch.angle_min > -2 * np.pi) | (branch.angle_max < 2 * np.pi))
+    members = _angle_limited(model)
     if members.size:
         model.rows(
             "branch",
@@ -99,3 +163,36 @@ def limit_angle(model: Model, angle: Expression) -> None:
             lambda table: table.angle_min[members],
             lambda table: table.angle_max[members],
         )
+
+
+def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
+    r"""Limit the angle across branches in terms of the products of their voltages.
+
+    :math:`\theta \ge a` is :math:`w_i \cos a - w_r \sin a \ge 0`, and likewise at the upper end, as long
+    as the two limits are at most 180 degrees apart.
+    """
+    members = _angle_limited(model)
+    if not members.size:
+        return
+    branch = model.network.branch
+    low, high = branch.angle_min[members], branch.angle_max[members]
+    wide = np.flatnonzero(high - low > np.pi)
+    if wide.size:
+        first = wide[0]
+        raise ModelError(
+            f"{branch.names[members[first]]}: angle = ({np.rad2deg(low[first]):g}, "
+            f"{np.rad2deg(high[first]):g}): limits "
+            "more than 180 degrees apart cannot be stated in products of voltages; "
+            "tighten them, or drop them by (-360, 360)"
+        )
+    real, imaginary = w_r[members], w_i[members]
+    above = np.cos(low) * imaginary - np.sin(low) * real
+    below = np.cos(high) * imaginary - np.sin(high) * real
+    model.rows("branch", "angle_above", above, 0.0, np.inf)
+    model.rows("branch", "angle_below", below, -np.inf, 0.0)
+
+
+def _angle_limited(model: Model) -> Index:
+    """Branches with a limit on the angle across them."""
+    branch = model.network.branch
+    return np.flatnonzero((branch.angle_min > -2 * np.pi) | (branch.angle_max < 2 * np.pi))

@@ -33,6 +33,8 @@ _COLD: dict[str, Any] = {
 }
 # Coupling in time makes the starting point a better one than a lone stage has.
 _COLD_IN_TIME: dict[str, Any] = {"mu_init": 1e-2}
+# Without scaling, rows of cones make MUMPS delay pivots until the factors are nearly dense.
+_WITH_CONES: dict[str, Any] = {"mumps_scaling": 77}
 _WARM: dict[str, Any] = _COLD | {
     "warm_start_init_point": "yes",
     "warm_start_bound_push": 1e-6,
@@ -133,9 +135,11 @@ class IpoptSession:
             own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
             return general | own
         printing = {"print_level": 5} if self._verbose else {"print_level": 0, "sb": "yes"}
-        situation = _WARM if warm else _COLD
+        situation = dict(_WARM if warm else _COLD)
         if not warm and any(block.stages > 1 for block in self._program.variables.values()):
-            situation = _COLD | _COLD_IN_TIME
+            situation |= _COLD_IN_TIME
+        if self._program.cones:
+            situation |= _WITH_CONES
         return general | {"ipopt": situation | printing | self._options}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:

@@ -1,0 +1,57 @@
+"""The AC formulation in rectangular coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.formulations.base import Formulation, limit_products, publish_flows, shunts, transport
+from opfmodel.model import Model
+from opfmodel.physics import branch_flow, rectangular_products
+from solvers import Expression
+
+__all__ = ["ACRectangular"]
+
+
+class ACRectangular(Formulation):
+    r"""AC power flow in real and imaginary parts of the voltages; exact, non-convex.
+
+    The flows of :class:`opfmodel.formulations.ac.AC` with the products
+
+    .. math::
+        w = e^2 + f^2, \quad w_r = e_f e_t + f_f f_t, \quad w_i = f_f e_t - e_f f_t
+
+    so that every equation is quadratic, and the limits :math:`v_{min}^2 \le w \le v_{max}^2` are
+    non-convex rows. Source: the ACR form of PowerModels.jl.
+    """
+
+    name = "ac-rectangular"
+    reactive = True
+    publishes = ("vm", "va", "pf", "qf", "pt", "qt")
+
+    def declare(self, model: Model) -> None:
+        """Declare ``vr``, ``vi`` and the branch flows; publish ``vm`` and ``va``."""
+        network = model.network
+        bus, branch = network.bus, network.branch
+        reference = np.zeros(len(bus), dtype=bool)
+        reference[network.reference] = True
+        start = np.clip(1.0, bus.vm_min, bus.vm_max)
+        most = bus.vm_max
+        vr = model.variable(
+            "bus", "vr", np.where(reference, 0.0, -most), most, unit="p.u.", start=start, publish=False
+        )
+        vi = model.variable(
+            "bus", "vi", np.where(reference, 0.0, -most), np.where(reference, 0.0, most),
+            unit="p.u.", start=0.0, publish=False,
+        )  # fmt: skip
+        w = vr**2 + vi**2
+        model.rows("bus", "vm_squared", w, lambda t: t.vm_min**2, lambda t: t.vm_max**2)
+        model.publish("bus", "vm", np.sqrt(w), unit="p.u.", description="voltage magnitude")
+        angle: Expression = np.arctan2(vi, vr)  # type: ignore[call-overload]
+        model.publish("bus", "va", angle, unit="deg", description="voltage angle")
+        shunts(model, w)
+        f, t = branch.from_bus, branch.to_bus
+        products = rectangular_products(vr[f], vi[f], vr[t], vi[t])
+        flows = branch_flow(network.admittance, *products)
+        publish_flows(model, *flows)
+        transport(model, *flows)
+        limit_products(model, products[2], products[3])

@@ -1,0 +1,32 @@
+"""No network at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.formulations.base import Formulation, shunts
+from opfmodel.model import Model
+from opfmodel.network import PerUnitNetwork
+
+__all__ = ["Copperplate"]
+
+
+class Copperplate(Formulation):
+    """One active balance per island: dispatch without a network; linear.
+
+    Neglects branches, losses, reactive power and voltages; shunts draw their power at 1 p.u. It is
+    the economic dispatch, and a lower bound on lossless formulations.
+    """
+
+    name = "copperplate"
+    reactive = False
+    publishes = ()
+
+    def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
+        """One balance per island."""
+        return network.island
+
+    def declare(self, model: Model) -> None:
+        """State nothing but the power that shunts draw."""
+        shunts(model, 1.0)

@@ -1,0 +1,64 @@
+"""Linear active-power formulations: DC power flow in the variants of PowerModels and MATPOWER."""
+
+from __future__ import annotations
+
+from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
+from opfmodel.model import Model
+from opfmodel.network import Array, PerUnitNetwork
+from solvers import Expression
+
+__all__ = ["DC", "DCMatpower"]
+
+
+class DC(Formulation):
+    r"""DC power flow as PowerModels' DCP, which gives the DC column of PGLib; linear.
+
+    .. math::
+        p_f = -p_t = \frac{x}{r^2 + x^2} (\theta_f - \theta_t)
+
+    Neglects losses, reactive power, voltage magnitudes (1 p.u.), taps and phase shifts; shunts draw
+    their power at 1 p.u. Source: the DCP form of PowerModels.jl.
+    """
+
+    name = "dc"
+    reactive = False
+    publishes = ("va", "pf", "pt")
+
+    def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
+        """Flow from the from end to the to end, given the angle across each branch."""
+        branch = network.branch
+        susceptance: Array = branch.x / (branch.r**2 + branch.x**2)
+        return angle * susceptance
+
+    def declare(self, model: Model) -> None:
+        """Declare ``va`` and the branch flows."""
+        branch = model.network.branch
+        va = angles(model)
+        shunts(model, 1.0)
+        angle = va[branch.from_bus] - va[branch.to_bus]
+        flow = self.flow(model.network, angle)
+        publish_flows(model, flow, None, -flow, None)
+        model.inject(branch.from_bus, p=-flow)
+        model.inject(branch.to_bus, p=flow)
+        limit_flows(model, rating=flow)
+        limit_angle(model, angle)
+
+
+class DCMatpower(DC):
+    r"""DC power flow as MATPOWER's, with taps and phase shifts; linear.
+
+    .. math::
+        p_f = -p_t = \frac{1}{x \tau} (\theta_f - \theta_t - \phi)
+
+    Neglects losses, resistance, reactive power and voltage magnitudes (1 p.u.). Source: Zimmerman and
+    Murillo-Sánchez, MATPOWER User's Manual, section 3.7.
+    """
+
+    name = "dc-matpower"
+
+    def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
+        """Flow from the from end to the to end, given the angle across each branch."""
+        branch = network.branch
+        susceptance: Array = 1.0 / (branch.x * branch.tap)
+        shifted: Expression = angle - branch.shift
+        return shifted * susceptance

@@ -1,0 +1,164 @@
+"""The second-order cone relaxation of the AC equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opfmodel.formulations.base import Formulation, limit_products, price_rating, publish_flows, shunts
+from opfmodel.model import Model
+from opfmodel.network import Index, PerUnitNetwork
+from opfmodel.physics import Array, branch_flow
+from solvers import Expression, Solution
+
+__all__ = ["SOC"]
+
+
+class SOC(Formulation):
+    r"""SOCWR: Jabr's relaxation in the products of the voltages; convex.
+
+    The flows of :class:`opfmodel.formulations.ac.AC` are linear in :math:`w = v^2` at the buses
+    and in :math:`w_r = v_i v_j \cos\theta`, :math:`w_i = v_i v_j \sin\theta` of each pair of
+    neighbours; of what ties the three together only
+
+    .. math::
+        w_r^2 + w_i^2 \le w_i w_j
+
+    is kept, with the angle-difference limits, the bounds of the products that follow from the
+    bounds of voltages and angles, and the lifted nonlinear cuts of the two. It is exact on radial
+    networks under mild conditions, and its optimum is a lower bound on that of the AC equations.
+    Sources: R. Jabr, "Radial distribution load flow using conic programming", IEEE Trans. Power
+    Systems 21(3), 2006; the SOCWR form of PowerModels.jl; for the cuts C. Coffrin, H. Hijazi and
+    P. Van Hentenryck, "Strengthening the SDP relaxation of AC power flows with convex envelopes,
+    bound tightening, and valid inequalities", IEEE Trans. Power Systems 32(5), 2017.
+    """
+
+    name = "soc"
+    reactive = True
+    publishes = ("w", "pf", "qf", "pt", "qt")
+    relaxed = ("voltage_products",)
+
+    def declare(self, model: Model) -> None:
+        """Declare ``w`` and the products of neighbours; report ``vm = sqrt(w)``."""
+        network = model.network
+        bus, branch = network.bus, network.branch
+        start = np.clip(1.0, bus.vm_min, bus.vm_max) ** 2
+        w = model.variable(
+            "bus", "w", lambda t: t.vm_min**2, lambda t: t.vm_max**2,
+            unit="p.u.^2", start=start, description="squared voltage magnitude",
+        )  # fmt: skip
+        model.report("bus", "vm", np.sqrt(w), unit="p.u.", description="square root of w")
+        shunts(model, w)
+        if not len(branch):
+            return
+        n = _Neighbours.of(network)
+        pairs = len(n.first)
+        bounds = n.product_bounds(
+            bus.vm_min[n.first] * bus.vm_min[n.second], bus.vm_max[n.first] * bus.vm_max[n.second]
+        )
+        near = [np.clip(at, low, high) for at, low, high in ((1.0, *bounds[:2]), (0.0, *bounds[2:]))]
+        wr = model.build.variable("wr", pairs, model.stages, *bounds[:2], start=near[0])
+        wi = model.build.variable("wi", pairs, model.stages, *bounds[2:], start=near[1])
+        at_first, at_second = w[n.first], w[n.second]
+        model.build.cone(
+            "voltage_products", 0.5 * (at_first + at_second), 0.5 * (at_first - at_second), wr, wi
+        )
+        _lifted_cuts(model, n, w, wr, wi)
+        f, t = branch.from_bus, branch.to_bus
+        branch_r, branch_i = wr[n.pair], n.sign * wi[n.pair]
+        flows = branch_flow(network.admittance, w[f], w[t], branch_r, branch_i)
+        publish_flows(model, *flows)
+        model.inject(f, p=-flows[0], q=-flows[1])
+        model.inject(t, p=-flows[2], q=-flows[3])
+        limited = np.flatnonzero(np.isfinite(branch.rating))
+        if limited.size:
+            rating = model.field("branch", "rating")[limited]
+            model.build.cone("rating_from", rating, flows[0][limited], flows[1][limited])
+            model.build.cone("rating_to", rating, flows[2][limited], flows[3][limited])
+
+            def read(solution: Solution, _: PerUnitNetwork) -> Array:
+                both: Array = solution.cone_dual("rating_from")[0] + solution.cone_dual("rating_to")[0]
+                return both
+
+            price_rating(model, limited, read)
+        limit_products(model, branch_r, branch_i)
+        model.report("branch", "wr", branch_r, unit="p.u.^2", description="real product of the voltages")
+        model.report("branch", "wi", branch_i, unit="p.u.^2", description="imaginary product of the voltages")
+
+
+@dataclass(frozen=True)
+class _Neighbours:
+    """Pairs of buses that branches connect, and how the branches lie on them.
+
+    Attributes
+    ----------
+    first, second
+        Buses of each pair, the lower position first.
+    pair, sign
+        Pair of each branch, and 1 if it runs from first to second, -1 otherwise.
+    low, high
+        Range of the angle of each pair, the tightest of parallel branches; within ±pi.
+    """
+
+    first: Index
+    second: Index
+    pair: Index
+    sign: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, network: PerUnitNetwork) -> _Neighbours:
+        """The neighbours of a network."""
+        branch = network.branch
+        ends = np.column_stack([branch.from_bus, branch.to_bus])
+        pairs, pair = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+        pair = pair.ravel()
+        along = ends[:, 0] <= ends[:, 1]
+        low, high = np.full(len(pairs), -np.pi), np.full(len(pairs), np.pi)
+        np.maximum.at(low, pair, np.where(along, branch.angle_min, -branch.angle_max))
+        np.minimum.at(high, pair, np.where(along, branch.angle_max, -branch.angle_min))
+        return cls(pairs[:, 0], pairs[:, 1], pair, np.where(along, 1.0, -1.0), low, high)
+
+    def product_bounds(self, least: Array, most: Array) -> tuple[Array, Array, Array, Array]:
+        """Lower and upper bounds of ``w_r``, then of ``w_i``, for magnitudes with products in a range.
+
+        Cosine and sine take their extremes over an interval at its ends or at a stationary point
+        inside it, and their products with a magnitude at an end of its range.
+        """
+        bounds = []
+        for function, peaks in ((np.cos, (0.0,)), (np.sin, (-np.pi / 2, np.pi / 2))):
+            ends = [function(self.low), function(self.high)]
+            inside = [
+                np.where((self.low <= peak) & (peak <= self.high), function(peak), ends[0]) for peak in peaks
+            ]
+            smallest, largest = np.min([*ends, *inside], axis=0), np.max([*ends, *inside], axis=0)
+            bounds += [
+                np.minimum(smallest * least, smallest * most),
+                np.maximum(largest * least, largest * most),
+            ]
+        return bounds[0], bounds[1], bounds[2], bounds[3]
+
+
+def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi: Expression) -> None:
+    r"""State the lifted nonlinear cuts of pairs whose angle is limited to less than 180 degrees.
+
+    With :math:`\phi` and :math:`\delta` the middle and half of the angle's range and
+    :math:`\sigma = v_{min} + v_{max}` at each end, they bound
+    :math:`\sigma_i \sigma_j (w_r \cos\phi + w_i \sin\phi)` from below by planes in
+    :math:`w_i, w_j` that touch the feasible set at the corners of the voltage box.
+    """
+    members = np.flatnonzero(n.high - n.low < np.pi)
+    if not members.size:
+        return
+    bus = model.network.bus
+    i, j = n.first[members], n.second[members]
+    phi, delta = 0.5 * (n.high + n.low)[members], 0.5 * (n.high - n.low)[members]
+    low_i, high_i, low_j, high_j = bus.vm_min[i], bus.vm_max[i], bus.vm_min[j], bus.vm_max[j]
+    sum_i, sum_j = low_i + high_i, low_j + high_j
+    along = (sum_i * sum_j) * (np.cos(phi) * wr[members] + np.sin(phi) * wi[members])
+    spread = np.cos(delta) * (low_i * low_j - high_i * high_j)
+    for name, at_i, at_j, sign in (("cut_high", high_i, high_j, 1.0), ("cut_low", low_i, low_j, -1.0)):
+        plane = (at_j * np.cos(delta) * sum_j) * w[i] + (at_i * np.cos(delta) * sum_i) * w[j]
+        model.build.constrain(name, along - plane >= sign * at_i * at_j * spread)
