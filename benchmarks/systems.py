@@ -9,12 +9,12 @@ import numpy as np
 import opfmodel as om
 from opfmodel.cases import read_network
 
-MATPOWER = Path(__file__).parent.parent / "tests" / "data" / "matpower"
+SCENARIO_DATA = Path(__file__).parent.parent / "scenarios" / "data"
 
 
 def case118(steps: int) -> tuple[om.Network, dict[str, np.ndarray]]:
     """IEEE 118 with storage at every bus, ramps of 10 % of the capacity and demand that steps."""
-    network = read_network(MATPOWER / "case118.m")
+    network = read_network(SCENARIO_DATA / "case118.m")
     for name, generator in network.of(om.Generator).items():
         network.update(name, ramp=0.1 * generator.p[1])
     for bus in list(network.of(om.Bus)):

@@ -31,9 +31,16 @@ if TYPE_CHECKING:
     from opfmodel.errors import OpfmodelError
     from opfmodel.objectives.base import Objective
     from opfmodel.objectives.economic import Economic
+    from opfmodel.objectives.linear_quadratic import LinearQuadratic
+    from opfmodel.objectives.loss_minimisation import LossMinimisation
+    from opfmodel.objectives.setpoint_tracking import Setpoints, SetpointTracking
+    from opfmodel.objectives.state_of_charge_tracking import StateOfChargeTracking
+    from opfmodel.objectives.stored_energy_value import StoredEnergyValue
+    from opfmodel.objectives.voltage_deviation import VoltageDeviation
     from opfmodel.plan import End, MultiStage, Plan
     from opfmodel.profiles.series import Profiles
     from opfmodel.scenario import Scenario, load_scenario
+    from opfmodel.sequence import SingleStageSequence, single_stage_sequence
     from opfmodel.simulation import Controller, NominalPlant, Run, simulate
     from solvers.expression import largest, total
 
@@ -54,9 +61,19 @@ _HOMES = {
     "opfmodel.errors": ("OpfmodelError",),
     "opfmodel.objectives.base": ("Objective",),
     "opfmodel.objectives.economic": ("Economic",),
+    "opfmodel.objectives.linear_quadratic": ("LinearQuadratic",),
+    "opfmodel.objectives.loss_minimisation": ("LossMinimisation",),
+    "opfmodel.objectives.setpoint_tracking": (
+        "SetpointTracking",
+        "Setpoints",
+    ),
+    "opfmodel.objectives.state_of_charge_tracking": ("StateOfChargeTracking",),
+    "opfmodel.objectives.stored_energy_value": ("StoredEnergyValue",),
+    "opfmodel.objectives.voltage_deviation": ("VoltageDeviation",),
     "opfmodel.plan": ("End", "MultiStage", "Plan"),
     "opfmodel.profiles.series": ("Profiles",),
     "opfmodel.scenario": ("Scenario", "load_scenario"),
+    "opfmodel.sequence": ("SingleStageSequence", "single_stage_sequence"),
     "opfmodel.simulation": ("Controller", "NominalPlant", "Run", "simulate"),
     "solvers.expression": ("largest", "total"),
 }
@@ -69,7 +86,9 @@ __all__ = [
     "Economic",
     "End",
     "Generator",
+    "LinearQuadratic",
     "Load",
+    "LossMinimisation",
     "MultiStage",
     "Network",
     "NominalPlant",
@@ -81,12 +100,19 @@ __all__ = [
     "Profiles",
     "Run",
     "Scenario",
+    "SetpointTracking",
+    "Setpoints",
     "Shunt",
+    "SingleStageSequence",
+    "StateOfChargeTracking",
     "Storage",
+    "StoredEnergyValue",
+    "VoltageDeviation",
     "largest",
     "load_scenario",
     "read_network",
     "simulate",
+    "single_stage_sequence",
     "total",
     "write_network",
 ]

@@ -16,6 +16,7 @@ from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
     from opfmodel.check import Report
+    from opfmodel.comparison import Comparison
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
 
@@ -181,6 +182,34 @@ def run(
 
 
 @app.command()
+def table(
+    scenarios: Annotated[list[Path], typer.Argument(help="Scenario files (.yaml).")],
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
+    json_: JSON = False,
+) -> int:
+    """Compare economic control with single-stage optima and with tracking: J_e, J_s, J_t, J_b."""
+    from opfmodel import comparison
+
+    def say(what: str) -> None:
+        if sys.stderr.isatty() and not json_:
+            print(what, file=sys.stderr)
+
+    for path in scenarios:
+        _scenario(path, None, None)  # so that a mistake in any file is said before hours of work
+    rows = [comparison.compare(path, say) for path in scenarios]
+    if json_:
+        print(json.dumps({"rows": [row.as_dict() for row in rows]}))
+    elif markdown:
+        print(comparison.markdown(rows))
+    else:
+        _print_comparisons(rows)
+    for row in rows:
+        for name, why in row.failures.items():
+            print(f"{row.scenario}: no {name}: {why}", file=sys.stderr)
+    return 1 if any(row.failures for row in rows) else 0
+
+
+@app.command()
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
     """Check a scenario or network file without solving anything."""
     from opfmodel.cases import read_network
@@ -335,6 +364,20 @@ def _print_pairs(pairs: Mapping[str, str]) -> None:
     width = max(len(key) for key in pairs)
     for key, value in pairs.items():
         print(f"{key:<{width}}  {value}")
+
+
+def _print_comparisons(comparisons: list[Comparison]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from opfmodel.comparison import COSTS, rows
+
+    shown = Table("k$", box=None, pad_edge=False)
+    for name in COSTS:
+        shown.add_column(name, justify="right")
+    for row in rows(comparisons):
+        shown.add_row(*row)
+    Console().print(shown)
 
 
 def _print_run(summary: Mapping[str, Any], folder: Path) -> None:

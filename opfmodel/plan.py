@@ -179,6 +179,32 @@ class MultiStage:
         named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
         return {name: (p.unit, p.description) for name, p in named.items()}
 
+    def window(self, start: int, stages: int) -> PerUnitNetwork:
+        """The network with the time series of the steps from ``start`` on.
+
+        Raises
+        ------
+        ProfileError, ModelError
+            A series of the profiles or of the objective ends before the window does.
+        """
+        series = self.profiles.window(self.arrays, start, stages)
+        for key, values in self._objective_series.items():
+            known = values.shape[1]
+            if known == 1:
+                series[key] = np.repeat(values, stages, axis=1)
+            elif known < start + stages:
+                raise ModelError(
+                    f"{type(self.objective).__name__}: {key[1]} has {known} values; "
+                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                )
+            else:
+                series[key] = values[:, start : start + stages]
+        return self.arrays.with_series(series)
+
+    @cached_property
+    def _objective_series(self) -> Mapping[tuple[str, str], Array]:
+        return self.objective.series(self.arrays)
+
     # Compiling ---------------------------------------------------------------------------
 
     def compile(self) -> Program:
@@ -188,13 +214,14 @@ class MultiStage:
     @cached_property
     def _compiled(self) -> tuple[Model, Program, Session]:
         began = clock.perf_counter()
+        own = {key: values[:, 0] for key, values in self._objective_series.items()}
         model = Model(
-            self.arrays,
+            self.arrays.with_series(own),
             self.horizon,
             self.step,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
-            series=self.profiles.fields(self.arrays),
+            series={*self.profiles.fields(self.arrays), *own},
         )
         self.formulation.declare(model)
         model.devices = self.devices
@@ -276,7 +303,7 @@ class MultiStage:
         """
         model, program, session = self._compiled
         end = self.end if end is None else end
-        network = self.arrays.with_series(self.profiles.window(self.arrays, time, self.horizon))
+        network = self.window(time, self.horizon)
         numbers = _Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -78,13 +78,20 @@ def load(sort: str, name: str) -> Any:
     return known[name].load()
 
 
-def make(sort: str, name: str, options: Mapping[str, Any]) -> Any:
+def make(
+    sort: str,
+    name: str,
+    options: Mapping[str, Any],
+    convert: Mapping[Any, Callable[[Any], Any]] | None = None,
+) -> Any:
     """An object of a plugin's class from options as a file has them.
 
     Parameters
     ----------
     options
         Keyword arguments of the constructor, checked against its annotations.
+    convert
+        How values of a file become objects of a type, for options annotated with it.
 
     Raises
     ------
@@ -106,8 +113,10 @@ def make(sort: str, name: str, options: Mapping[str, Any]) -> Any:
         if key not in accepted:
             raise PluginError(f"{sort} {name!r} has no option {key!r}; {nearest(key, accepted)}", key)
         hint = hints.get(key, Any)
+        converter = (convert or {}).get(hint)
         try:
-            checked[key] = TypeAdapter(hint, config=ConfigDict(strict=False)).validate_python(value)
+            adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+            checked[key] = adapter.validate_python(value if converter is None else converter(value))
         except ValidationError as error:
             reason = error.errors()[0]["msg"]
             raise PluginError(f"{sort} {name!r}: {key} = {value!r}: {reason}", key) from None

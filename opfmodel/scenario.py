@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from opfmodel.documents import Document, read_document
 from opfmodel.errors import (
     CaseError,
     ComponentError,
+    ModelError,
     NetworkError,
     OpfmodelError,
     PluginError,
@@ -33,10 +34,13 @@ from opfmodel.errors import (
 from opfmodel.formulations.base import Formulation
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
+from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage
 from opfmodel.profiles.base import Workbook, constant
+from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
-from opfmodel.simulation import Controller, Run, simulate, single_stage
+from opfmodel.sequence import SingleStageSequence, single_stage_sequence
+from opfmodel.simulation import Controller, Run, simulate
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "load_scenario"]
@@ -75,6 +79,14 @@ class _Controller(_Section):
     solver: str | _Solver = "auto"
 
 
+class _Published(_Section):
+    source: str
+    J_e: float | None = Field(None, description="$")
+    J_s: float | None = None
+    J_t: float | None = None
+    J_b: float | None = None
+
+
 class _File(_Section):
     name: str | None = None
     description: str = ""
@@ -83,6 +95,7 @@ class _File(_Section):
     profiles: list[str | dict[str, Any]] = Field(default_factory=list)
     cost: Spec = "economic"
     controller: _Controller = Field(default_factory=_Controller)
+    published: _Published | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
 
@@ -109,11 +122,18 @@ class Scenario:
     cost: Objective
     objective: Objective
     settings: _File
+    _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property
     def steps(self) -> int:
         """Number of steps of the closed loop."""
         return self.settings.time.steps
+
+    @property
+    def published(self) -> dict[str, float]:
+        """Costs that the literature reports for the scenario, in $."""
+        published = self.settings.published
+        return {} if published is None else published.model_dump(exclude={"source"}, exclude_none=True)
 
     def problem(self, verbose: bool = False) -> MultiStage:
         """The multi-stage problem of the controller."""
@@ -149,20 +169,23 @@ class Scenario:
             wanted = "single-stage" if controller.generator_delay == 1 else "free"
         if wanted == "free":
             return None
-        metered = MultiStage(
-            self.network,
-            step=self.settings.time.step,
-            objective=self.cost,
-            profiles=self.profiles,
-        )
-        plan = single_stage(metered)
-        if not plan.optimal:
-            raise OpfmodelError(
-                f"{self.path}: the single-stage optimum of step 0, from which the dispatch starts, "
-                f"was not found: {plan.status} ({plan.termination})"
-            )
-        data = plan.data
+        data = self.single_stages(1).data
         return {name: np.asarray(data[name].values[0]) for name in ("pg", "qg") if name in data}
+
+    def single_stages(self, steps: int) -> SingleStageSequence:
+        """The AC optima of the first steps by themselves, with the costs that are metered.
+
+        Raises
+        ------
+        OpfmodelError
+            A step has no solution.
+        """
+        if steps not in self._sequences:
+            problem = MultiStage(
+                self.network, step=self.settings.time.step, objective=self.cost, profiles=self.profiles
+            )
+            self._sequences[steps] = single_stage_sequence(problem, steps)
+        return self._sequences[steps]
 
     def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
         """Run the closed loop of the scenario."""
@@ -211,20 +234,20 @@ def load_scenario(
         network = declarations.network(settings.name or document.path.stem)
         declarations.check(network)
     name = settings.name or document.path.stem
+    cost = _objective(document, ("cost",), settings.cost)
     scenario = Scenario(
         name=name if variant is None else f"{name}:{variant}",
         path=document.path,
         network=network,
         profiles=_profiles(document, settings, network),
-        cost=_objective(document, ("cost",), settings.cost),
-        objective=_objective(
-            document,
-            ("controller", "objective") if settings.controller.objective is not None else ("cost",),
-            settings.cost if settings.controller.objective is None else settings.controller.objective,
-        ),
+        cost=cost,
+        objective=cost,
         settings=settings,
     )
     controller = settings.controller
+    if controller.objective is not None:
+        convert = {Setpoints: lambda value: _setpoints(value, scenario)}
+        scenario.objective = _objective(document, ("controller", "objective"), controller.objective, convert)
     with _located(document, ("controller", "formulation")):
         plugins.load("formulation", controller.formulation)
     solver = controller.solver if isinstance(controller.solver, str) else controller.solver.name
@@ -455,11 +478,16 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
     return Profiles.of(book.series)
 
 
-def _objective(document: Document, key: tuple[str | int, ...], spec: Spec) -> Objective:
+def _objective(
+    document: Document,
+    key: tuple[str | int, ...],
+    spec: Spec,
+    convert: Mapping[Any, Callable[[Any], Any]] | None = None,
+) -> Objective:
     if not isinstance(spec, list):
         name, options = _single(document, key, spec)
         with _located(document, (*key, name) if isinstance(spec, dict) else key):
-            made = plugins.make("objective", name, options)
+            made = plugins.make("objective", name, options, convert)
             assert isinstance(made, Objective)
             return made
     parts: list[tuple[float, Objective]] = []
@@ -468,10 +496,26 @@ def _objective(document: Document, key: tuple[str | int, ...], spec: Spec) -> Ob
         weight = part.get("weight", 1.0)
         if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
             raise document.error((*key, number, "weight"), f"{weight!r}: must be a number, at least 0")
-        parts.append((float(weight), _objective(document, (*key, number), rest)))
+        parts.append((float(weight), _objective(document, (*key, number), rest, convert)))
     if not parts:
         raise document.error(key, "needs at least one objective")
     return WeightedSum(parts)
+
+
+def _setpoints(value: Any, scenario: Scenario) -> Setpoints:
+    """Set-points as a file states them; those of single stages are solved for when they are needed."""
+    if value == "single-stage":
+        steps = scenario.steps + scenario.settings.controller.horizon - 1
+        return Setpoints(lambda: scenario.single_stages(steps).setpoints().values)
+    if not isinstance(value, dict):
+        raise ModelError(
+            f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
+        )
+    if set(value) == {"file"}:
+        value = read_columns(scenario.path.parent / str(value["file"]), scenario.steps)
+    given = Setpoints(value)
+    given.arrays(per_unit(scenario.network))  # so that a mistake has its place in the file
+    return given
 
 
 def _single(

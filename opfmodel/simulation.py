@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Storage
 from opfmodel.errors import ModelError
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
@@ -22,7 +21,7 @@ from opfmodel.results import dataset
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Controller", "NominalPlant", "Plant", "Run", "Step", "simulate", "single_stage"]
+__all__ = ["Controller", "NominalPlant", "Plant", "Run", "Step", "simulate"]
 
 Array = npt.NDArray[np.float64]
 State = Mapping[str, Array]
@@ -115,8 +114,7 @@ class Run:
     @cached_property
     def _stage(self) -> NumericStage:
         """The realised quantities as numbers in per unit."""
-        network, count = self.problem.arrays, len(self.steps)
-        network = network.with_series(self.problem.profiles.window(network, 0, count))
+        network = self.problem.window(0, len(self.steps))
         keys = self.steps[0].values if self.steps else {}
         values = {key: np.column_stack([step.values[key] for step in self.steps]) for key in keys}
         return NumericStage(network, self.problem.step, values, self.problem.devices)
@@ -126,7 +124,8 @@ class Run:
         """Stage cost of the realised trajectory, $/h."""
         if not self.steps:
             return np.zeros(0)
-        return np.asarray(self.objective.stage_cost(self._stage), dtype=float)
+        cost = self.objective.stage_cost(self._stage)
+        return np.zeros(len(self.steps)) if cost is None else np.asarray(cost, dtype=float)
 
     @property
     def cost(self) -> float:
@@ -239,26 +238,6 @@ def simulate(
         except KeyboardInterrupt:
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
     return run
-
-
-def single_stage(problem: MultiStage, time: int = 0) -> Plan:
-    """The optimal power flow of one step by itself, without storage, ramps and constraints of one's own.
-
-    It gives the set-points x_s(d) of the demand at that step, and the dispatch to start a closed loop from.
-    """
-    network = problem.network.copy()
-    for name in problem.network.of(Storage):
-        network.remove(name)
-    profiles = problem.profiles.without(problem.network.of(Storage))
-    alone = MultiStage(
-        network,
-        formulation=problem.formulation,
-        objective=problem.objective,
-        profiles=profiles,
-        solver=problem.solver,
-        options=problem.options,
-    )
-    return alone.solve(time)
 
 
 def _record(plan: Plan, seconds: float) -> dict[str, Any]:

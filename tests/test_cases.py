@@ -6,7 +6,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from conftest import DATA
+from conftest import DATA, SCENARIOS
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
@@ -155,4 +155,4 @@ def test_diagnostics_of_the_reader_are_warnings(tmp_path: Path) -> None:
 def test_a_clean_case_gives_no_warning() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        om.read_network(DATA / "matpower" / "case118.m")
+        om.read_network(SCENARIOS / "data" / "case118.m")

@@ -118,7 +118,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,l.p\n0,1\n", "1 rows; 3 are needed"),
         ("hour,x.p\n0,1\n0,1\n0,1\n", "the network has no component 'x'"),
         ("hour,l.x\n0,1\n0,1\n0,1\n", "a load has no number 'x'"),
-        ("hour,l.p\n0,1\n0,one\n0,1\n", "row 3, column 'l.p': 'one' is not a number"),
+        ("hour,l.p\n0,1\n0,one\n0,1\n", "line 3, column 'l.p': 'one' is not a number"),
         ("", "the file is empty"),
     ):
         (tmp_path / "demand.csv").write_text(wrong)

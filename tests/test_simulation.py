@@ -9,7 +9,7 @@ from conftest import SCENARIOS, two_bus
 import opfmodel as om
 from opfmodel.check import check, losses
 from opfmodel.errors import ModelError
-from opfmodel.simulation import Run, single_stage
+from opfmodel.simulation import Run
 
 WAVE = {"town.p": [60, 80, 100, 100, 70, 60, 80, 90], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
 
@@ -112,7 +112,7 @@ def test_series_that_are_too_short_are_said_before_anything_is_solved() -> None:
 
 
 def test_single_stage_is_without_storage_and_ramps() -> None:
-    plan = single_stage(problem(4), time=2)
-    assert "ps" not in plan.data
-    assert plan.data["pd"].sel(bus="south").values == pytest.approx([100])
-    assert plan.data["pg"].values[0, 0] > 100
+    sequence = om.single_stage_sequence(problem(4), steps=1, start=2)
+    assert "ps" not in sequence.data
+    assert sequence.data["pd"].sel(bus="south").values == pytest.approx([100])
+    assert sequence.data["pg"].values[0, 0] > 100

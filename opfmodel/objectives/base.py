@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError
 from opfmodel.model import Stage
+from opfmodel.network import PerUnitNetwork
+from opfmodel.objectives.checks import not_negative
 
 __all__ = ["Objective", "WeightedSum"]
+
+Array = npt.NDArray[np.float64]
 
 
 class Objective:
@@ -29,12 +38,25 @@ class Objective:
     regularisation: float = 0.0
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Cost rate in $/h, one value per stage, from quantities in per unit.
+        """Cost rate in $/h, one value per stage, from quantities in per unit; None for none.
 
         The same text is compiled for a solver and evaluated on numbers, so it is plain
         arithmetic, NumPy functions, :func:`solvers.total`, :func:`solvers.largest`.
         """
         raise NotImplementedError
+
+    def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:  # noqa: ARG002
+        """Numbers of one's own that change in time, in per unit, by ``(kind, field)``.
+
+        ``stage.generator.pg_setpoint`` is then the value of the field in each stage.
+
+        Returns
+        -------
+        mapping
+            Arrays of shape ``(items, steps)``, from the first step of the profiles on, or
+            ``(items, 1)`` for what does not change.
+        """
+        return {}
 
     def terminal_cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
         """Cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
@@ -56,16 +78,11 @@ class WeightedSum(Objective):
     """A weighted sum of objectives: ``2 * Economic() + VoltageDeviation()``."""
 
     def __init__(self, parts: list[tuple[float, Objective]]) -> None:
-        from opfmodel.errors import ModelError
-
         flat: list[tuple[float, Objective]] = []
-        for weight, part in parts:
-            if not isinstance(weight, int | float) or not 0 <= weight < float("inf"):
-                raise ModelError(
-                    f"weight of {type(part).__name__} = {weight!r}: must be a number, at least 0"
-                )
+        for given, part in parts:
+            weight = not_negative(type(part).__name__, "weight", given)
             nested = part.parts if isinstance(part, WeightedSum) else [(1.0, part)]
-            flat += [(float(weight) * w, p) for w, p in nested]
+            flat += [(weight * w, p) for w, p in nested]
         self.parts: list[tuple[float, Objective]] = flat
         self.needs = tuple(dict.fromkeys(name for _, part in flat for name in part.needs))
         self.regularisation = max((part.regularisation for _, part in flat), default=0.0)
@@ -73,6 +90,22 @@ class WeightedSum(Objective):
     def stage_cost(self, stage: Stage) -> Any:
         """Weighted sum of the stage costs."""
         return _sum([(w, p.stage_cost(stage)) for w, p in self.parts])
+
+    def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
+        """The series of all parts.
+
+        Raises
+        ------
+        ModelError
+            Two parts want different numbers in the same field.
+        """
+        merged: dict[tuple[str, str], Array] = {}
+        for _, part in self.parts:
+            for key, values in part.series(network).items():
+                if key in merged and not np.array_equal(merged[key], values, equal_nan=True):
+                    raise ModelError(f"two objectives of a sum have different numbers for {key[1]!r}")
+                merged[key] = values
+        return merged
 
     def terminal_cost(self, stage: Stage) -> Any:
         """Weighted sum of the terminal costs."""

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-
-import numpy as np
-
 from opfmodel.errors import ProfileError
 from opfmodel.profiles.base import ProfileRule, Workbook, constant
+from opfmodel.profiles.columns import read_columns
 
 __all__ = ["Table"]
 
@@ -30,30 +27,9 @@ class Table(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Replace the series of the fields that the file has."""
         path = book.folder / self.file
-        try:
-            with path.open(newline="", encoding="utf-8") as stream:
-                lines = [line for line in csv.reader(stream) if line and not line[0].startswith("#")]
-        except (OSError, UnicodeDecodeError) as error:
-            raise ProfileError(f"{path}: cannot be read: {error}") from error
-        if not lines:
-            raise ProfileError(f"{path}: the file is empty")
-        header, rows = lines[0], lines[1:]
-        if len(rows) < book.steps:
-            raise ProfileError(f"{path}: {len(rows)} rows; {book.steps} are needed")
-        for column, heading in enumerate(header):
-            component, dot, key = heading.strip().rpartition(".")
-            if not dot:
-                continue
+        for heading, values in read_columns(path, book.steps).items():
+            component, _, key = heading.rpartition(".")
             if component not in book.network:
                 raise ProfileError(f"{path}: column {heading!r}: the network has no component {component!r}")
             constant(book.network[component], key)
-            values = np.zeros(book.steps)
-            for number, row in enumerate(rows[: book.steps]):
-                try:
-                    values[number] = float(row[column])
-                except (ValueError, IndexError):
-                    found = row[column] if column < len(row) else "nothing"
-                    raise ProfileError(
-                        f"{path}: row {number + 2}, column {heading!r}: {found!r} is not a number"
-                    ) from None
             book.set(component, key, values)

@@ -1,0 +1,108 @@
+"""Economic control beside single-stage optima and tracking: the table of Faulwasser and Engelmann."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from opfmodel.scenario import Scenario, load_scenario
+from opfmodel.simulation import Run
+
+__all__ = ["COSTS", "Comparison", "compare", "markdown", "rows"]
+
+# Names of the costs, and the variants of a scenario whose closed loops they are.
+_VARIANTS = {"J_t": "setpoint-tracking", "J_b": "state-of-charge-tracking"}
+COSTS = {
+    "J_e": "closed loop of the scenario's own controller",
+    "J_s": "sum of single-stage optima, without storage and ramps",
+    "J_t": "closed loop that tracks the single-stage optima",
+    "J_b": "closed loop that tracks half-full storages",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Costs of one scenario under several controllers.
+
+    Attributes
+    ----------
+    costs
+        In $ by ``J_e``, ``J_s``, ``J_t``, ``J_b``; None where the scenario has no such variant or a
+        step failed.
+    published
+        The same from the literature, as far as the scenario states them.
+    failures
+        Why a cost is missing, by name.
+    """
+
+    scenario: str
+    costs: Mapping[str, float | None]
+    published: Mapping[str, float]
+    failures: Mapping[str, str]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The comparison as plain data."""
+        return {
+            "scenario": self.scenario,
+            **self.costs,
+            "published": dict(self.published),
+            "failures": dict(self.failures),
+        }
+
+    def difference(self, name: str) -> float | None:
+        """Relative difference from the published cost; None where there is none."""
+        cost, published = self.costs[name], self.published.get(name)
+        return None if cost is None or published is None else cost / published - 1.0
+
+
+def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Comparison:
+    """Run the closed loops of a scenario and of its tracking variants.
+
+    Parameters
+    ----------
+    on_run
+        Called with a few words before each of the runs.
+    """
+    costs: dict[str, float | None] = dict.fromkeys(COSTS)
+    failures: dict[str, str] = {}
+    said = on_run if on_run is not None else lambda _: None
+    scenario = load_scenario(path)
+
+    def loop(name: str, controlled: Scenario) -> None:
+        said(f"{controlled.name}: {COSTS[name]}")
+        run: Run = controlled.simulate()
+        if run.status == "done":
+            costs[name] = run.cost
+        else:
+            failures[name] = f"{run.status}: {run.termination}"
+
+    loop("J_e", scenario)
+    costs["J_s"] = scenario.single_stages(scenario.steps).cost
+    for name, variant in _VARIANTS.items():
+        if variant in scenario.settings.variants:
+            loop(name, load_scenario(path, variant))
+    return Comparison(scenario.name, costs, scenario.published, failures)
+
+
+def rows(comparisons: list[Comparison]) -> list[list[str]]:
+    """The comparisons in thousands of $: a row for ours, one for what is published, the difference."""
+    table = []
+    for comparison in comparisons:
+        table.append([comparison.scenario, *(_thousands(comparison.costs[name]) for name in COSTS)])
+        if comparison.published:
+            differences = (comparison.difference(name) for name in COSTS)
+            table.append(["published", *(_thousands(comparison.published.get(name)) for name in COSTS)])
+            table.append(["difference", *("–" if d is None else f"{100 * d:+.2f} %" for d in differences)])
+    return table
+
+
+def markdown(comparisons: list[Comparison]) -> str:
+    """The rows as a table in Markdown."""
+    lines = [["k$", *COSTS], ["---", *("---:" for _ in COSTS)], *rows(comparisons)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _thousands(cost: float | None) -> str:
+    return "–" if cost is None else f"{cost / 1000:,.2f}"

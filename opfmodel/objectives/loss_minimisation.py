@@ -1,0 +1,38 @@
+"""Least losses in the branches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from opfmodel.model import Stage
+from opfmodel.objectives.base import Objective
+from opfmodel.objectives.checks import not_negative
+from solvers import total
+
+__all__ = ["LossMinimisation"]
+
+
+class LossMinimisation(Objective):
+    r"""Active power lost in the branches, at a price.
+
+    .. math::
+        \ell = \pi \sum_b (p^f_b + p^t_b)
+
+    in $/h. A lossless formulation (``dc``) loses nothing, and every dispatch is optimal there.
+
+    Parameters
+    ----------
+    price
+        :math:`\pi` in $/MWh.
+    """
+
+    needs = ("pf", "pt")
+    regularisation = 1e-2
+
+    def __init__(self, price: float = 1.0) -> None:
+        self.price = not_negative("loss minimisation", "price", price)
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Price times losses."""
+        branch = stage.branch
+        return self.price * stage.network.base_mva * total(branch.pf + branch.pt)

@@ -1,0 +1,151 @@
+"""Following given trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError, nearest
+from opfmodel.model import Stage
+from opfmodel.network import PerUnitNetwork
+from opfmodel.objectives.base import Objective
+from opfmodel.objectives.checks import not_negative
+from solvers import total
+
+__all__ = ["SetpointTracking", "Setpoints"]
+
+Array = npt.NDArray[np.float64]
+Values = Mapping[str, npt.ArrayLike]
+
+# Kind of component of each quantity that can be tracked; all are powers or energies.
+_KINDS = {"pg": "generator", "qg": "generator", "e": "storage", "ps": "storage", "qs": "storage"}
+
+
+class Setpoints:
+    """Values to follow, in MW, MVAr and MWh.
+
+    Parameters
+    ----------
+    values
+        By ``"component.quantity"`` (``pg``, ``qg``, ``e``, ``ps``, ``qs``), one number for all
+        steps or one per step; or a function that gives such a mapping when it is needed.
+
+    Examples
+    --------
+    >>> sorted(Setpoints({"coal.pg": 80, "cell.e": [50, 60]}).values)
+    ['cell.e', 'coal.pg']
+    """
+
+    def __init__(self, values: Values | Callable[[], Values]) -> None:
+        self._values = values
+
+    @property
+    def values(self) -> Values:
+        """The values by ``"component.quantity"``."""
+        if callable(self._values):
+            self._values = self._values()
+        return self._values
+
+    def arrays(self, network: PerUnitNetwork) -> dict[str, Array]:
+        """Per-unit values by quantity, ``(items, steps)``; not a number where there is none to follow.
+
+        Raises
+        ------
+        ModelError
+            A set-point names no component or no quantity of it, is not a number, or is as long as
+            no other.
+        """
+        given: dict[str, dict[str, Array]] = {}
+        length, longest = 1, ""
+        for key, value in self.values.items():
+            name, _, quantity = str(key).rpartition(".")
+            array = _numbers(key, value)
+            if quantity not in _KINDS:
+                raise ModelError(f"set-point {key!r}: no such quantity; {nearest(quantity, _KINDS)}")
+            position = network.tables[_KINDS[quantity]].position
+            if name not in position:
+                kind = _KINDS[quantity]
+                raise ModelError(f"set-point {key!r}: no such {kind} in service; {nearest(name, position)}")
+            if array.size > 1 and length > 1 and array.size != length:
+                raise ModelError(
+                    f"set-point {key!r} has {array.size} values, but {longest!r} has {length}; "
+                    "all must have one per step"
+                )
+            if array.size > 1:
+                length, longest = array.size, str(key)
+            given.setdefault(quantity, {})[name] = array
+        out = {}
+        for quantity, members in given.items():
+            table = network.tables[_KINDS[quantity]]
+            out[quantity] = np.full((len(table), length), np.nan)
+            for name, array in members.items():
+                out[quantity][table.position[name]] = array / network.base_mva
+        return out
+
+
+class SetpointTracking(Objective):
+    r"""Distance from given trajectories of states and inputs.
+
+    .. math::
+        \ell_t = q \left( \|p^g - p^g_s\|^2 + \|q^g - q^g_s\|^2 + \|e - e_s\|^2 \right)
+               + r \left( \|p^s - p^s_s\|^2 + \|q^s - q^s_s\|^2 \right)
+
+    in per unit. Only what has a set-point is followed; reactive power only by formulations that
+    have it. Source: Faulwasser and Engelmann (2019), section 5, with :math:`Q = I, R = 0.1` and
+    the sequence of single-stage optima.
+
+    Parameters
+    ----------
+    setpoints
+        What to follow: :class:`Setpoints`, or a mapping for one. In a scenario file
+        ``single-stage`` (the optimum of each step by itself), ``{file: values.csv}`` with columns
+        headed ``component.quantity``, or ``{component.quantity: value or list}``.
+    state_weight, input_weight
+        :math:`q` on ``pg``, ``qg``, ``e`` and :math:`r` on ``ps``, ``qs``, in $/(h p.u.²).
+    """
+
+    def __init__(
+        self,
+        setpoints: Setpoints,
+        state_weight: float = 1.0,
+        input_weight: float = 0.1,
+    ) -> None:
+        self.setpoints = setpoints if isinstance(setpoints, Setpoints) else Setpoints(setpoints)
+        self.state_weight = not_negative("set-point tracking", "state_weight", state_weight)
+        self.input_weight = not_negative("set-point tracking", "input_weight", input_weight)
+
+    def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
+        """The set-points as fields ``pg_setpoint``, ... of their components."""
+        arrays = self.setpoints.arrays(network)
+        if not arrays:
+            raise ModelError("set-point tracking has no set-points; give at least one, such as 'coal.pg'")
+        return {(_KINDS[q], f"{q}_setpoint"): np.nan_to_num(array) for q, array in arrays.items()}
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Weighted squares of the distances."""
+        cost = None
+        for quantity, array in self.setpoints.arrays(stage.network).items():
+            if not stage.has(quantity):
+                continue
+            followed = np.flatnonzero(~np.isnan(array[:, 0]))
+            of = getattr(stage, _KINDS[quantity])
+            distance = getattr(of, quantity)[followed] - getattr(of, f"{quantity}_setpoint")[followed]
+            weight = self.state_weight if quantity in ("pg", "qg", "e") else self.input_weight
+            term = weight * total(distance**2)
+            cost = term if cost is None else cost + term
+        return cost
+
+
+def _numbers(key: str, value: npt.ArrayLike) -> Array:
+    try:
+        array = np.atleast_1d(np.asarray(value, dtype=float))
+    except (TypeError, ValueError):
+        raise ModelError(f"set-point {key!r}: {value!r}: must be a number, or one number per step") from None
+    if array.ndim != 1 or not array.size:
+        raise ModelError(f"set-point {key!r}: one number per step is expected, not shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ModelError(f"set-point {key!r}: step {int(np.argmin(np.isfinite(array)))} is not a number")
+    return array

@@ -1,0 +1,38 @@
+"""Voltages near a target."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from opfmodel.model import Stage
+from opfmodel.objectives.base import Objective
+from opfmodel.objectives.checks import not_negative
+from solvers import total
+
+__all__ = ["VoltageDeviation"]
+
+
+class VoltageDeviation(Objective):
+    r"""Squared distance of voltage magnitudes from a target.
+
+    .. math::
+        \ell = w \sum_i (v_i - v^\ast)^2
+
+    Parameters
+    ----------
+    target
+        :math:`v^\ast` in p.u.
+    weight
+        :math:`w` in $/(h p.u.²).
+    """
+
+    needs = ("vm",)
+    regularisation = 1e-2
+
+    def __init__(self, target: float = 1.0, weight: float = 1.0) -> None:
+        self.target = not_negative("voltage deviation", "target", target)
+        self.weight = not_negative("voltage deviation", "weight", weight)
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Weighted squares of the distances."""
+        return self.weight * total((stage.bus.vm - self.target) ** 2)

@@ -1,0 +1,59 @@
+"""Demand that moves at random."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.errors import ProfileError
+from opfmodel.profiles.base import ProfileRule, Workbook
+
+__all__ = ["Noise"]
+
+
+class Noise(ProfileRule):
+    r"""Multiply the demand of each load by 1 plus a first-order autoregressive Gaussian process.
+
+    .. math::
+        n(t) = \phi\, n(t-1) + \sqrt{1 - \phi^2}\, \sigma\, w(t), \quad w(t) \sim N(0, 1)
+
+    which has the standard deviation :math:`\sigma` from the first step on. Large deviations make
+    demand negative: more renewable feed-in than demand. The power factor does not change. Numbers
+    come from NumPy's PCG64 generator and are the same on every machine.
+
+    Parameters
+    ----------
+    deviation
+        Standard deviation :math:`\sigma`.
+    correlation
+        Correlation :math:`\phi` from one step to the next, at least 0 and less than 1.
+    seed
+        Seed of the random numbers.
+    loads
+        Names of loads; all by default.
+    """
+
+    def __init__(
+        self, deviation: float, correlation: float, seed: int, loads: list[str] | None = None
+    ) -> None:
+        if deviation < 0:
+            raise ProfileError(f"noise: deviation = {deviation!r}: must be at least 0")
+        if not 0 <= correlation < 1:
+            raise ProfileError(f"noise: correlation = {correlation!r}: must be at least 0 and less than 1")
+        if seed < 0:
+            raise ProfileError(f"noise: seed = {seed!r}: must be a whole number, at least 0")
+        self.deviation = deviation
+        self.correlation = correlation
+        self.seed = seed
+        self.loads = loads
+
+    def apply(self, book: Workbook) -> None:
+        """Multiply the demand."""
+        names = book.loads(self.loads)
+        noise = np.random.Generator(np.random.PCG64(self.seed)).standard_normal((len(names), book.steps))
+        noise *= self.deviation
+        for t in range(1, book.steps):
+            fresh = np.sqrt(1.0 - self.correlation**2) * noise[:, t]
+            noise[:, t] = self.correlation * noise[:, t - 1] + fresh
+        for name, factor in zip(names, 1.0 + noise, strict=True):
+            for key in ("p", "q"):
+                book.set(name, key, book.get(name, key) * factor)

@@ -1,0 +1,44 @@
+"""Demand that follows a measured curve."""
+
+from __future__ import annotations
+
+from opfmodel.errors import ProfileError
+from opfmodel.profiles.base import ProfileRule, Workbook
+from opfmodel.profiles.columns import read_columns
+
+__all__ = ["Shape"]
+
+
+class Shape(ProfileRule):
+    """Multiply demand, active and reactive, by a column of a CSV file divided by its mean.
+
+    Parameters
+    ----------
+    file
+        Path, relative to the scenario file.
+    column
+        Heading of the column.
+    less
+        Headings of columns that are subtracted first: renewable generation, for effective demand.
+    loads
+        Names of loads; all by default.
+    """
+
+    def __init__(
+        self, file: str, column: str, less: list[str] | None = None, loads: list[str] | None = None
+    ) -> None:
+        self.file = file
+        self.column = column
+        self.less = less or []
+        self.loads = loads
+
+    def apply(self, book: Workbook) -> None:
+        """Multiply the demand."""
+        path = book.folder / self.file
+        columns = read_columns(path, book.steps, [self.column, *self.less])
+        curve = columns[self.column] - sum(columns[heading] for heading in self.less)
+        if curve.mean() <= 0:
+            raise ProfileError(f"{path}: the mean of column {self.column!r} is not positive")
+        for load in book.loads(self.loads):
+            for key in ("p", "q"):
+                book.set(load, key, book.get(load, key) * curve / curve.mean())

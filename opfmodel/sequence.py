@@ -1,0 +1,159 @@
+"""The sequence of single-stage optima: what the grid would do without storage and ramps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import Generator, Network, Storage
+from opfmodel.errors import ModelError
+from opfmodel.objectives.setpoint_tracking import Setpoints
+from opfmodel.plan import MultiStage, Plan
+from opfmodel.profiles.series import Profiles
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SingleStageSequence", "single_stage_sequence"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class SingleStageSequence:
+    """The optimal power flow of each step by itself, (x_s, u_s)(d).
+
+    Attributes
+    ----------
+    plan
+        The optima of the steps that differ, as the stages of one plan.
+    stage
+        Stage of the plan that belongs to each step.
+    step
+        Hours per step.
+    """
+
+    plan: Plan
+    stage: Index
+    step: float
+    _network: Network
+
+    @property
+    def optimal(self) -> bool:
+        """Whether every step has an optimum."""
+        return self.plan.optimal
+
+    @cached_property
+    def cost_rate(self) -> Array:
+        """Stage cost of each step, $/h."""
+        cost = self.plan.problem.objective.stage_cost(self.plan.stage)
+        return np.zeros(self.stage.size) if cost is None else np.asarray(cost, dtype=float)[self.stage]
+
+    @property
+    def cost(self) -> float:
+        """Sum over all steps, $."""
+        return float(self.cost_rate.sum()) * self.step
+
+    @cached_property
+    def data(self) -> xr.Dataset:
+        """Quantities and demand of all steps in physical units."""
+        times = np.arange(self.stage.size) * self.step
+        return self.plan.data.isel(time=self.stage).assign_coords(time=times)
+
+    def setpoints(self, share: float = 0.5) -> Setpoints:
+        """Set-points for :class:`opfmodel.SetpointTracking`.
+
+        Parameters
+        ----------
+        share
+            Stored energy as a share of the capacity; storages are at rest.
+        """
+        data = self.data
+        values: dict[str, npt.ArrayLike] = {}
+        for quantity in ("pg", "qg"):
+            if quantity in data:
+                columns = data[quantity].transpose("generator", "time").values
+                names = data["generator"].values
+                values |= {f"{n}.{quantity}": row for n, row in zip(names, columns, strict=True)}
+        for name, storage in self._network.of(Storage).items():
+            if storage.in_service:
+                values |= {f"{name}.e": share * storage.energy, f"{name}.ps": 0.0, f"{name}.qs": 0.0}
+        return Setpoints(values)
+
+
+def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> SingleStageSequence:
+    """Solve every step by itself, without storage, ramps and constraints of one's own.
+
+    All steps are stages of one program that nothing couples; steps with equal numbers are solved
+    once.
+
+    Parameters
+    ----------
+    problem
+        Its network, profiles, formulation and objective count.
+    steps, start
+        Number of steps, and the first of them.
+
+    Raises
+    ------
+    ModelError
+        A step has no solution; the message names it and why the solver stopped.
+    """
+    network = _alone(problem.network)
+    kept = problem.profiles.without(problem.network.of(Storage))
+    window = Profiles({key: values[start : start + steps] for key, values in kept.series.items()})
+    if window.length is not None and window.length < steps:
+        raise ModelError(
+            f"{steps} single stages from step {start} need time series of {start + steps} values; "
+            f"the shortest has {kept.length}"
+        )
+    first, stage = _distinct(window, steps)
+    series = {key: values[first] for key, values in window.series.items()}
+
+    def solve(profiles: Profiles, stages: int) -> Plan:
+        return MultiStage(
+            network,
+            stages,
+            problem.step,
+            formulation=problem.formulation,
+            objective=problem.objective,
+            profiles=profiles,
+            solver=problem.solver,
+            options=problem.options,
+        ).solve()
+
+    plan = solve(Profiles(series), first.size)
+    if not plan.optimal:
+        for position, step in enumerate(first):  # find out which
+            alone = solve(Profiles({key: values[[position]] for key, values in series.items()}), 1)
+            if not alone.optimal:
+                raise ModelError(
+                    f"single-stage optimum of step {start + step}: {alone.status} ({alone.termination})"
+                )
+        raise ModelError(f"single-stage optima: {plan.status} ({plan.termination})")
+    return SingleStageSequence(plan, stage, problem.step, problem.network)
+
+
+def _alone(network: Network) -> Network:
+    """The network without storage and ramps."""
+    alone = network.copy()
+    for name in network.of(Storage):
+        alone.remove(name)
+    for name, generator in network.of(Generator).items():
+        if generator.ramp is not None:
+            alone.update(name, ramp=None)
+    return alone
+
+
+def _distinct(profiles: Profiles, steps: int) -> tuple[Index, Index]:
+    """First step of each distinct set of numbers, and the position of each step among these."""
+    if not profiles.series:
+        return np.zeros(1, dtype=np.intp), np.zeros(steps, dtype=np.intp)
+    columns = np.vstack(list(profiles.series.values()))
+    _, first, position = np.unique(columns, axis=1, return_index=True, return_inverse=True)
+    return first, position.ravel()
