@@ -18,7 +18,7 @@ from solvers.program import Block, Cone, Instance, Output, Placement, Program
 from solvers.solution import Solution, Start
 from solvers.solve import BackEnd, Session, back_ends, broken_back_ends, find, prepare, solve
 from solvers.status import SolutionStatus, TerminationCondition
-from solvers.structure import Kind, Structure, classify, nonconvex_cost
+from solvers.structure import Kind, Structure, classify, curvature_varies, nonconvex_cost
 from solvers.template import Degree, Template
 
 __all__ = [
@@ -53,6 +53,7 @@ __all__ = [
     "back_ends",
     "broken_back_ends",
     "classify",
+    "curvature_varies",
     "find",
     "largest",
     "largest_by",

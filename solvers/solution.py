@@ -39,7 +39,8 @@ class Solution:
     termination, status, message
         Why it stopped, what the values hold, and the back end's own words.
     iterations, seconds
-        Effort of the back end; ``seconds`` is wall-clock time of the solve alone.
+        Effort of the back end; ``seconds`` is wall-clock time of the solve alone. ``iterations``
+        is None where a library between us and the solver does not pass them on.
     """
 
     program: Program
@@ -53,7 +54,7 @@ class Solution:
     status: SolutionStatus
     message: str
     solver: str
-    iterations: int
+    iterations: int | None
     seconds: float
 
     @cached_property

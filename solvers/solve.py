@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from solvers.errors import UnknownSolverError, UnsupportedProgramError
 from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
-from solvers.structure import Kind, classify
+from solvers.structure import Kind, Structure, classify, curvature_varies
 
 __all__ = ["BackEnd", "Session", "back_ends", "broken_back_ends", "choose", "find", "prepare", "solve"]
 
@@ -144,19 +144,48 @@ def prepare(
     UnknownSolverError
         No such solver.
     UnsupportedProgramError
-        The back end cannot represent the program; the message names the blocks.
+        The back end cannot represent the program, or its quadratic cost is not convex; the message
+        names the blocks. Where parameters enter the Hessian, each solve tests its own instance.
     """
     structure = classify(program)
     name = choose(program, structure.kind) if solver == "auto" else solver
     end, solver_name = find(name, structure.kind)
-    if structure.kind > end.accepts:
-        able = [e.name for e in back_ends().values() if e.accepts >= structure.kind]
-        raise UnsupportedProgramError(
-            f"{name!r} solves at most a {end.accepts}, but {_blocks(structure.culprits)} of "
-            f"{program.name!r} make it a {structure.kind}; "
-            f"back ends that accept it: {', '.join(able) or 'none'}"
-        )
-    return end.prepare(program, solver_name, dict(options or {}), verbose)
+    _check_accepted(program, structure, end, name)
+    session = end.prepare(program, solver_name, dict(options or {}), verbose)
+    if end.accepts < Kind.NONLINEAR and curvature_varies(program):
+        return _ConvexSession(session, program, end, name)
+    return session
+
+
+class _ConvexSession:
+    """A session of a convex back end whose program an instance could make non-convex."""
+
+    def __init__(self, session: Session, program: Program, end: BackEnd, name: str) -> None:
+        self._session = session
+        self._program = program
+        self._end = end
+        self._name = name
+
+    def solve(self, instance: Instance, start: Start | None = None) -> Solution:
+        """Solve, if the instance is convex."""
+        _check_accepted(self._program, classify(self._program, instance), self._end, self._name)
+        return self._session.solve(instance, start)
+
+
+def _check_accepted(program: Program, structure: Structure, end: BackEnd, name: str) -> None:
+    if structure.kind <= end.accepts:
+        return
+    able = ", ".join(e.name for e in back_ends().values() if e.accepts >= structure.kind) or "none"
+    blocks = f"{_blocks(structure.culprits)} of {program.name!r}"
+    makes = "make" if len(structure.culprits) > 1 else "makes"
+    reason = (
+        f"the quadratic {blocks} is not convex"
+        if structure.nonconvex
+        else f"{blocks} {makes} it a {structure.kind}"
+    )
+    raise UnsupportedProgramError(
+        f"{name!r} solves at most a {end.accepts}, but {reason}; back ends that accept it: {able}"
+    )
 
 
 # Up to how many variables "auto" prefers Clarabel, which certifies optima and infeasibility of convex
@@ -179,7 +208,11 @@ def choose(program: Program, kind: Kind) -> str:
 
 def _blocks(names: tuple[str, ...]) -> str:
     shown = ", ".join(repr(n) for n in names[:3])
-    return f"blocks {shown}" + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (
+        ("blocks " if len(names) > 1 else "block ")
+        + shown
+        + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    )
 
 
 def solve(

@@ -7,14 +7,16 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
-from solvers.program import Array, Instance, Placement, Program
+from solvers.program import Array, Index, Instance, Placement, Program
 from solvers.template import Degree
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-__all__ = ["Kind", "Structure", "classify", "nonconvex_cost"]
+__all__ = ["Kind", "Structure", "classify", "curvature_varies", "nonconvex_cost"]
 
 
 class Kind(IntEnum):
@@ -26,7 +28,7 @@ class Kind(IntEnum):
     NONLINEAR = 4
 
     def __str__(self) -> str:
-        return {1: "linear program", 2: "quadratic program", 3: "second-order cone program"}.get(
+        return {1: "linear program", 2: "convex quadratic program", 3: "second-order cone program"}.get(
             self.value, "nonlinear program"
         )
 
@@ -39,14 +41,21 @@ class Structure:
     ----------
     culprits
         Names of the blocks without which the program would be of a simpler kind.
+    nonconvex
+        Whether it is nonlinear only because the quadratic cost of the culprit is not convex.
     """
 
     kind: Kind
     culprits: tuple[str, ...]
+    nonconvex: bool = False
 
 
-def classify(program: Program) -> Structure:
-    """Derive the kind of ``program`` from the degrees of its templates."""
+def classify(program: Program, instance: Instance | None = None) -> Structure:
+    """Derive the kind of ``program`` from its templates, at an instance or its own numbers.
+
+    The instance matters only where parameters enter the Hessian of a quadratic cost; see
+    :func:`curvature_varies`.
+    """
     found: dict[Kind, list[str]] = {kind: [] for kind in Kind}
     for placement in program.constraints:
         if placement.count and placement.template.degree > Degree.LINEAR:
@@ -59,29 +68,48 @@ def classify(program: Program) -> Structure:
     for placement in program.cone_values:
         affine = placement.template.degree <= Degree.LINEAR
         found[Kind.CONIC if affine else Kind.NONLINEAR].append(placement.block)
+    if found[Kind.QUADRATIC] and not found[Kind.NONLINEAR]:
+        culprit = nonconvex_cost(program, program.default if instance is None else instance)
+        if culprit is not None:
+            return Structure(Kind.NONLINEAR, (culprit,), nonconvex=True)
     for kind in (Kind.NONLINEAR, Kind.CONIC, Kind.QUADRATIC):
         if found[kind]:
             return Structure(kind, tuple(dict.fromkeys(found[kind])))
     return Structure(Kind.LINEAR, ())
 
 
-def nonconvex_cost(program: Program, instance: Instance) -> str | None:
-    """Name of a quadratic cost whose Hessian has a negative eigenvalue at some place, or None.
-
-    Each template is tested by itself, which is sufficient for the sum to be convex.
-    """
+def curvature_varies(program: Program) -> bool:
+    """Whether a parameter that instances may change enters the Hessian of a quadratic cost."""
     for placement in program.costs:
-        if placement.template.degree != Degree.QUADRATIC:
-            continue
-        for hessians in _local_hessians(placement, instance.parameters):
+        template = placement.template
+        if template.degree == Degree.QUADRATIC:
+            moving = ~np.all(program.fixed_parameters[placement.parameters], axis=1)
+            if np.any(moving[template.hessian_parameters]):
+                return True
+    return False
+
+
+def nonconvex_cost(program: Program, instance: Instance) -> str | None:
+    """Name of a quadratic cost that makes the quadratic part of the objective non-convex, or None.
+
+    Each place of each template is tested by itself, on a few variables. Only where one fails is
+    their sum tested, since terms that are not convex alone can be so together.
+    """
+    quadratic = [p for p in program.costs if p.count and p.template.degree == Degree.QUADRATIC]
+    for placement in quadratic:
+        for _, hessians in _local_hessians(placement, instance.parameters):
             scale = np.abs(hessians).max(initial=1e-12)
-            if np.linalg.eigvalsh(hessians).min(initial=0.0) < -1e-9 * scale:
-                return placement.block
+            if np.linalg.eigvalsh(hessians).min(initial=0.0) < -_NEGATIVE * scale:
+                whole = _hessian(program.n_variables, quadratic, instance.parameters)
+                return None if _is_positive_semidefinite(whole) else placement.block
     return None
 
 
-def _local_hessians(placement: Placement, parameters: Array) -> Iterator[Array]:
-    """Dense Hessians of a scalar quadratic template, in batches of shape ``(batch, n, n)``."""
+_NEGATIVE = 1e-9  # an eigenvalue this far below zero, relative to the largest entry, is negative
+
+
+def _local_hessians(placement: Placement, parameters: Array) -> Iterator[tuple[Index, Array]]:
+    """Positions and dense Hessians of a scalar quadratic template: ``(n, batch)``, ``(batch, n, n)``."""
     template = placement.template
     i, j = template.hessian_pattern
     n, batch = template.n_variables, max(1, 2_000_000 // max(1, template.n_variables**2))
@@ -94,4 +122,33 @@ def _local_hessians(placement: Placement, parameters: Array) -> Iterator[Array]:
         hessians = np.zeros((count, n, n))
         hessians[:, i, j] = values.T
         hessians[:, j, i] = values.T
-        yield hessians
+        yield placement.variables[:, first : first + batch], hessians
+
+
+def _hessian(size: int, placements: Iterable[Placement], parameters: Array) -> sp.csc_array:
+    """Hessian of the sum of quadratic costs."""
+    total = sp.csc_array((size, size))
+    for placement in placements:
+        for positions, values in _local_hessians(placement, parameters):
+            rows = np.broadcast_to(positions.T[:, :, None], values.shape).ravel()
+            columns = np.broadcast_to(positions.T[:, None, :], values.shape).ravel()
+            total = total + sp.coo_array((values.ravel(), (rows, columns)), shape=total.shape).tocsc()
+    return total
+
+
+def _is_positive_semidefinite(matrix: sp.csc_array) -> bool:
+    """Whether a sparse symmetric matrix, lifted by a little, has positive pivots throughout.
+
+    Elimination without interchanges is stable for a positive definite matrix, and only such a
+    matrix has positive pivots alone.
+    """
+    lift = _NEGATIVE * np.abs(matrix.data).max(initial=1e-12)
+    lifted = (matrix + lift * sp.eye_array(matrix.shape[0])).tocsc()
+    try:
+        factors = spla.splu(
+            lifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError:  # a pivot of zero
+        return False
+    symmetric = np.array_equal(factors.perm_r, factors.perm_c)
+    return bool(symmetric and (factors.U.diagonal() > 0).all())

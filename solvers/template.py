@@ -120,6 +120,12 @@ class Template:
         return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 
     @cached_property
+    def hessian_parameters(self) -> npt.NDArray[np.intp]:
+        """Local parameters that the weighted Hessian depends on."""
+        used = ca.which_depends(ca.vec(self._hessian), self.parameters, 1, False) if self.n_parameters else []
+        return np.flatnonzero(used)
+
+    @cached_property
     def hessian(self) -> Any:
         """CasADi function ``(variables, parameters, weights) -> nonzeros of sum_i w_i hess(output_i)``."""
         nonzeros = ca.vertcat(*self._hessian.nonzeros())

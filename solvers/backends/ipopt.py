@@ -15,7 +15,7 @@ from solvers.interrupt import interruptible
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
 from solvers.status import SolutionStatus, TerminationCondition
-from solvers.structure import Kind, classify, nonconvex_cost
+from solvers.structure import Kind, classify, curvature_varies
 from solvers.threads import use_one_blas_thread
 from solvers.transform import smooth
 
@@ -81,7 +81,7 @@ class Ipopt:
     def solvers(self) -> Iterator[str]:
         """IPOPT first, then the other plugins whose libraries load."""
         yield "ipopt"
-        others = ("sqpmethod", "fatrop", "blocksqp", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
+        others = ("sqpmethod", "fatrop", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
         yield from (name for name in others if ca.has_nlpsol(name))
 
     def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> IpoptSession:
@@ -103,6 +103,8 @@ class IpoptSession:
         self._options = options
         self._verbose = verbose
         self._solvers: dict[bool, Any] = {}
+        self._convex = classify(program).kind < Kind.NONLINEAR
+        self._curvature_varies = curvature_varies(program)
         self._solver(warm=False)
 
     def _solver(self, warm: bool) -> Any:
@@ -184,8 +186,10 @@ class IpoptSession:
             s, _ = self._evaluator.cones(x, instance.parameters)
             z = self._smooth.cone_multipliers(lam_g, s)
         message = str(stats.get("return_status", ""))
-        termination = _TERMINATION.get(message) or _UNIFIED.get(
-            str(stats.get("unified_return_status")), TerminationCondition.ERROR
+        termination = (
+            _TERMINATION.get(message)
+            or _UNIFIED.get(str(stats.get("unified_return_status")))
+            or TerminationCondition.said(message)
         )
         if message == "Invalid_Option":
             raise SolverOptionError(f"{self._plugin} does not accept the options {self._options}")
@@ -198,21 +202,22 @@ class IpoptSession:
             lam_g=lam_g[: program.n_rows],
             z=z,
             termination=termination,
-            status=_status(program, instance, termination),
+            status=self._status(instance, termination),
             message=message,
             solver=self._plugin,
             iterations=int(stats.get("iter_count", 0)),
             seconds=seconds,
         )
 
-
-def _status(program: Program, instance: Instance, termination: TerminationCondition) -> SolutionStatus:
-    if termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE):
-        convex = classify(program).kind < Kind.NONLINEAR and nonconvex_cost(program, instance) is None
-        return SolutionStatus.GLOBALLY_OPTIMAL if convex else SolutionStatus.LOCALLY_OPTIMAL
-    if termination is TerminationCondition.INFEASIBLE:
-        return SolutionStatus.LOCALLY_INFEASIBLE
-    return SolutionStatus.NONE
+    def _status(self, instance: Instance, termination: TerminationCondition) -> SolutionStatus:
+        if termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE):
+            convex = self._convex
+            if self._curvature_varies:
+                convex = classify(self._program, instance).kind < Kind.NONLINEAR
+            return SolutionStatus.GLOBALLY_OPTIMAL if convex else SolutionStatus.LOCALLY_OPTIMAL
+        if termination is TerminationCondition.INFEASIBLE:
+            return SolutionStatus.LOCALLY_INFEASIBLE
+        return SolutionStatus.NONE
 
 
 def _vector(value: Any) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from solvers.assembly import Evaluator
+from solvers.certify import certified
 from solvers.errors import SolverError, SolverOptionError
 from solvers.matrices import MatrixMaker, proves_infeasible, standard_form
 from solvers.program import Array, Instance, Program
@@ -26,7 +27,8 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "scs": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 50_000},
     "piqp": {"eps_abs": 1e-8, "eps_rel": 1e-9, "check_duality_gap": True},
     "clarabel": {},
-    "highs": {"qp_regularization_value": 0.0},  # HiGHS adds 1e-7 x'x by default
+    # By default 1e-7, which moves the optimum; with none it calls points optimal that are not.
+    "highs": {"qp_regularization_value": 1e-9},
 }
 
 
@@ -56,7 +58,7 @@ class QPSession:
         self._evaluator = Evaluator(program)
         self._maker = MatrixMaker(self._evaluator)
         self._solver = solver
-        self._options = _DEFAULTS.get(solver, {}) | options
+        self._options = _DEFAULTS.get(solver, {}) | _checked(solver, options)
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
@@ -86,22 +88,20 @@ class QPSession:
                     verbose=self._verbose,
                     **self._options,
                 )
-        except (TypeError, AttributeError, qpsolvers.exceptions.ParamError) as error:
+        except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
             raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
             raise SolverError(f"{self._solver} failed: {error}") from error
         seconds = time.perf_counter() - began
         message, iterations = _describe(found.extras)
-        termination = TerminationCondition.CONVERGED if found.found else _termination(message)
+        termination = TerminationCondition.CONVERGED if found.found else TerminationCondition.said(message)
         y, z, z_box = (_array(v) for v in _multipliers(found, form.h.size, form.b.size))
         lam_x, lam_g = form.multipliers(_sized(y, form.b), _sized(z, form.h), _sized(z_box, form.q))
         status = SolutionStatus.NONE
-        if found.found:
-            status = SolutionStatus.GLOBALLY_OPTIMAL
-        elif termination is TerminationCondition.INFEASIBLE:
+        if termination is TerminationCondition.INFEASIBLE:
             proven = proves_infeasible(matrices, lam_x, lam_g, np.zeros(0))
             status = SolutionStatus.PROVEN_INFEASIBLE if proven else SolutionStatus.LOCALLY_INFEASIBLE
-        return Solution(
+        solution = Solution(
             program=self._evaluator.program,
             evaluator=self._evaluator,
             instance=instance,
@@ -116,6 +116,32 @@ class QPSession:
             iterations=iterations,
             seconds=seconds,
         )
+        claimed = termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE)
+        return certified(solution) if claimed else solution
+
+
+def _checked(solver: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Options as the solver takes them; those that qpsolvers would drop in silence are refused here."""
+    if solver == "piqp":
+        import piqp
+
+        settings = piqp.SparseSolver().settings
+        unknown = [name for name in options if name != "backend" and not hasattr(settings, name)]
+        if isinstance(options.get("kkt_solver"), str):
+            options = options | {"kkt_solver": getattr(piqp.KKTSolver, options["kkt_solver"], None)}
+            unknown += ["kkt_solver"] if options["kkt_solver"] is None else []
+    elif solver == "highs":
+        import highspy
+
+        highs = highspy.Highs()
+        highs.silent()
+        refused = highspy.HighsStatus.kError
+        unknown = [name for name, value in options.items() if highs.setOptionValue(name, value) == refused]
+    else:
+        unknown = []
+    if unknown:
+        raise SolverOptionError(f"{solver} has no option {unknown[0]!r} with such a value: {options}")
+    return options
 
 
 def _multipliers(found: Any, inequalities: int, equalities: int) -> tuple[Any, Any, Any]:
@@ -128,41 +154,18 @@ def _multipliers(found: Any, inequalities: int, equalities: int) -> tuple[Any, A
     return found.y, found.z, found.z_box
 
 
-def _describe(extras: dict[str, Any]) -> tuple[str, int]:
-    """Status text and number of iterations, wherever a solver keeps them."""
+def _describe(extras: dict[str, Any]) -> tuple[str, int | None]:
+    """Status text and number of iterations, wherever qpsolvers keeps them, if it does."""
     info = extras.get("info", extras)
     status = _entry(info, "status")
     if status is None:
         status = extras.get("status", "")
     iterations = _entry(info, "iter")
-    return str(status).rpartition(".")[2], int(iterations or 0)
+    return str(status).rpartition(".")[2], None if iterations is None else int(iterations)
 
 
 def _entry(info: Any, name: str) -> Any:
     return info.get(name) if isinstance(info, dict) else getattr(info, name, None)
-
-
-# Words in a convex solver's status, in the order in which they decide.
-_WORDS = (
-    ("dualinfeas", TerminationCondition.UNBOUNDED),
-    ("unbounded", TerminationCondition.UNBOUNDED),
-    ("infeas", TerminationCondition.INFEASIBLE),
-    ("time", TerminationCondition.TIME_LIMIT),
-    ("maxiter", TerminationCondition.ITERATION_LIMIT),
-    ("maximumiterations", TerminationCondition.ITERATION_LIMIT),
-    ("interrupt", TerminationCondition.INTERRUPTED),
-    ("sigint", TerminationCondition.INTERRUPTED),
-    ("nonconvex", TerminationCondition.INVALID_PROGRAM),
-)
-
-
-def _termination(message: str) -> TerminationCondition:
-    """Why a convex solver stopped, from its own words."""
-    said = message.lower().replace("_", "").replace(" ", "")
-    if not said:
-        return TerminationCondition.ERROR
-    found = (condition for word, condition in _WORDS if word in said)
-    return next(found, TerminationCondition.NUMERICAL_FAILURE)
 
 
 def _matrix(matrix: sp.csc_array) -> sp.csc_matrix:
