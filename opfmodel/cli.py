@@ -116,7 +116,7 @@ def solve(
     result = {
         "status": plan.status,
         "termination": plan.termination,
-        "objective": plan.objective,
+        "objective": plan.objective if plan.optimal else None,
         "build_seconds": problem.build_seconds,
         "solve_seconds": plan.solution.seconds,
         "iterations": plan.solution.iterations,
@@ -139,7 +139,7 @@ def solve(
                 "objective": f"{plan.objective:,.4f} $" if plan.optimal else "none",
                 "formulation": problem.formulation.name,
                 "size": f"{result['variables']:,} variables, {result['rows']:,} rows",
-                "solver": f"{plan.solution.solver}, {plan.solution.iterations} iterations",
+                "solver": f"{plan.solution.solver}, {_count(plan.solution.iterations)} iterations",
                 "time": f"{problem.build_seconds:.3f} s build, {plan.solution.seconds:.3f} s solve",
                 "max violation": f"{report.max_violation:.1e} p.u.{place}",
             }
@@ -380,6 +380,10 @@ def _print_comparisons(comparisons: list[Comparison]) -> None:
     Console().print(shown)
 
 
+def _count(iterations: float | None) -> str:
+    return "unknown" if iterations is None else f"{iterations:.1f}".removesuffix(".0")
+
+
 def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
     done = summary["status"] == "done"
     violation = summary["max_violation"]
@@ -388,9 +392,9 @@ def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
         {
             "scenario": summary["scenario"],
             "status": "done" if done else f"{summary['status']}: {summary['termination']}",
-            "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps",
+            "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps" if summary["steps"] else "none",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
-            "iterations": f"{summary['iterations_mean']:.1f} mean",
+            "iterations": f"{_count(summary['iterations_mean'])} mean",
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
             "results": f"{folder}" if summary["steps"] else "none",
         }

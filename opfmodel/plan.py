@@ -568,8 +568,7 @@ class Plan:
             "step_hours": self.problem.step,
             "cost": self.objective,
         }
-        if self.problem.formulation.relaxed:
-            made.attrs["largest_cone_slack"] = self.cone_slack
+        made.attrs |= self.relaxation
         return made
 
     def price(self, name: str) -> Array:
@@ -580,15 +579,14 @@ class Plan:
         """All shadow prices by ``(kind, name)``; see :meth:`price`."""
         return {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
 
-    @property
-    def cone_slack(self) -> float:
-        """Largest slack of the cones that stand for an equation, p.u.; 0 where a relaxation is exact."""
-        slacks = [0.0]
-        for name in self.problem.formulation.relaxed:
-            if name in self.solution.program.cones:
-                values = self.solution.program.cones[name].read(self.solution.cones)
-                slacks.append(float((values[0] - np.linalg.norm(values[1:], axis=0)).max(initial=0.0)))
-        return max(slacks)
+    @cached_property
+    def relaxation(self) -> dict[str, float]:
+        """How far the plan is from the equations that its formulation relaxes, by name.
+
+        For ``soc`` the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
+        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax nothing.
+        """
+        return self.problem.formulation.relaxation(self.solution, self._network)
 
     def relaxation_gap(self, exact: Plan | float) -> float:
         """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""

@@ -158,6 +158,9 @@ class Scenario:
     def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
         """The dispatch that the first problem starts from, in physical units; None leaves it free.
 
+        A single-stage optimum is that of the AC equations whatever the controller's formulation, so
+        that all formulations start from the same dispatch.
+
         Raises
         ------
         OpfmodelError
@@ -170,7 +173,8 @@ class Scenario:
         if wanted == "free":
             return None
         data = self.single_stages(1).data
-        return {name: np.asarray(data[name].values[0]) for name in ("pg", "qg") if name in data}
+        names = ("pg", "qg") if self.problem().formulation.reactive else ("pg",)
+        return {name: np.asarray(data[name].values[0]) for name in names}
 
     def single_stages(self, steps: int) -> SingleStageSequence:
         """The AC optima of the first steps by themselves, with the costs that are metered.

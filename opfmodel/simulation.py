@@ -154,18 +154,18 @@ class Run:
         return made
 
     def summary(self) -> dict[str, Any]:
-        """The run in a few numbers."""
+        """The run in a few numbers; None for a cost without steps and for iterations nobody counted."""
         seconds = [plan["solve_seconds"] for plan in self.plans]
-        iterations = [plan["iterations"] for plan in self.plans]
+        iterations = [plan["iterations"] for plan in self.plans if plan["iterations"] is not None]
         return {
             "status": self.status,
             "termination": self.termination,
-            "cost": self.cost,
+            "cost": self.cost if self.steps else None,
             "steps": len(self.steps),
             "build_seconds": self.build_seconds,
             "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
             "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
-            "iterations_mean": float(np.mean(iterations)) if iterations else 0.0,
+            "iterations_mean": float(np.mean(iterations)) if iterations else None,
         }
 
 

@@ -64,9 +64,26 @@ def test_a_problem_without_solution_ends_with_1(call: Call, tmp_path: Path) -> N
     code, out, _ = call("solve", path, "--horizon", 2, "--json")
     assert code == 1
     assert json.loads(out)["status"] == "locally_infeasible"
+    assert json.loads(out)["objective"] is None
     code, out, _ = call("run", path, *SHORT, "--json", "--out", tmp_path / "out")
     assert code == 1
     assert json.loads(out)["status"] == "locally_infeasible"
+    assert json.loads(out)["cost"] is None
+    code, out, _ = call("run", path, *SHORT, "--out", tmp_path / "out")
+    assert code == 1
+    assert "none" in out
+
+
+def test_any_formulation_and_solver_by_name(call: Call) -> None:
+    code, out, _ = call("solve", CASE14, "--formulation", "dc", "--solver", "qp:osqp", "--json")
+    result = json.loads(out)
+    assert (code, result["status"]) == (0, "globally_optimal")
+    assert (result["formulation"], result["solver"]) == ("dc", "osqp")
+    assert result["objective"] == pytest.approx(2051.5, rel=1e-4)
+    assert result["iterations"] > 0
+    code, out, _ = call("solve", CASE14, "--formulation", "dc", "--solver", "qp:highs")
+    assert code == 0
+    assert "highs, unknown iterations" in out
 
 
 def test_run_saves_trajectories_summary_and_a_figure(call: Call, tmp_path: Path) -> None:
@@ -140,6 +157,7 @@ def test_list(call: Call) -> None:
         (("run", CASE14), "a scenario file ends in .yaml"),
         (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
         (("solve", CASE14, "--solver", "nosuch"), "there is no solver 'nosuch' here; installed are"),
+        (("solve", CASE14, "--solver", "qp"), "make it a nonlinear program; back ends that accept it: ipopt"),
         (("solve", CASE14, "--horizon", "0"), "horizon = 0"),
         (("solve", CASE14, "--variant", "x"), "are for scenario files"),
         (("run", CASE5, "--set", "controller"), "write KEY=VALUE"),

@@ -39,14 +39,11 @@ class Formulation:
         Whether reactive power is balanced.
     publishes
         Network quantities that objectives and constraints may use.
-    relaxed
-        Names of the cones that stand for an equation; their slack says how far a solution is from it.
     """
 
     name: ClassVar[str]
     reactive: ClassVar[bool]
     publishes: ClassVar[tuple[str, ...]]
-    relaxed: ClassVar[tuple[str, ...]] = ()
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
         """Balance row of each bus: by default each its own."""
@@ -55,6 +52,10 @@ class Formulation:
     def declare(self, model: Model) -> None:
         """Declare the variables of the network, add branch flows to the balance, state limits."""
         raise NotImplementedError
+
+    def relaxation(self, solution: Solution, network: PerUnitNetwork) -> dict[str, float]:  # noqa: ARG002
+        """How far a solution is from the equations that are relaxed, by name; empty where none are."""
+        return {}
 
 
 def angles(model: Model) -> Expression:

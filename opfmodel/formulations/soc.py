@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from opfmodel.formulations.base import Formulation, limit_products, price_rating, publish_flows, shunts
 from opfmodel.model import Model
@@ -37,7 +39,6 @@ class SOC(Formulation):
     name = "soc"
     reactive = True
     publishes = ("w", "pf", "qf", "pt", "qt")
-    relaxed = ("voltage_products",)
 
     def declare(self, model: Model) -> None:
         """Declare ``w`` and the products of neighbours; report ``vm = sqrt(w)``."""
@@ -85,6 +86,21 @@ class SOC(Formulation):
         limit_products(model, branch_r, branch_i)
         model.report("branch", "wr", branch_r, unit="p.u.^2", description="real product of the voltages")
         model.report("branch", "wi", branch_i, unit="p.u.^2", description="imaginary product of the voltages")
+
+    def relaxation(self, solution: Solution, network: PerUnitNetwork) -> dict[str, float]:
+        """Largest slack of a cone (p.u.) and largest angle (degrees) that does not close around a loop.
+
+        The relaxation is exact where both vanish; on a radial network there are no loops.
+        """
+        if not len(network.branch):
+            return {"largest_cone_slack": 0.0, "largest_angle_mismatch": 0.0}
+        t, *u = solution.program.cones["voltage_products"].read(solution.cones)
+        slack = np.maximum(t - np.linalg.norm(u, axis=0), 0.0).max()
+        angle = np.arctan2(solution.value("wi"), solution.value("wr"))
+        return {
+            "largest_cone_slack": float(slack),
+            "largest_angle_mismatch": float(np.rad2deg(_angle_mismatch(network, angle))),
+        }
 
 
 @dataclass(frozen=True)
@@ -139,6 +155,23 @@ class _Neighbours:
                 np.maximum(largest * least, largest * most),
             ]
         return bounds[0], bounds[1], bounds[2], bounds[3]
+
+
+def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
+    """Largest difference between angles across branches and the bus angles that fit them best."""
+    branch, n = network.branch, len(network.bus)
+    rows = np.arange(len(branch))
+    across = sp.coo_array(
+        (
+            np.tile([[1.0], [-1.0]], len(branch)).ravel(),
+            (np.tile(rows, 2), np.r_[branch.from_bus, branch.to_bus]),
+        ),
+        shape=(len(branch), n),
+    ).tocsc()
+    fixed = np.zeros(n)
+    fixed[network.reference] = 1.0
+    fit = spla.splu((across.T @ across + sp.diags_array(fixed)).tocsc()).solve(across.T @ angle)
+    return float(np.abs(angle - across @ fit).max())
 
 
 def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi: Expression) -> None:

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 
 from solvers.assembly import Evaluator
 from solvers.certify import certified
+from solvers.clarabel import solve_clarabel
 from solvers.errors import SolverError, SolverOptionError
 from solvers.matrices import MatrixMaker, proves_infeasible, standard_form
 from solvers.program import Array, Instance, Program
@@ -62,7 +63,7 @@ class QPSession:
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve; the primal start reaches solvers that take one."""
+        """Solve; the primal start reaches OSQP and SCS. qpsolvers hands on no dual start."""
         import qpsolvers
 
         matrices = self._maker.at(instance)
@@ -81,13 +82,16 @@ class QPSession:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the status says it
-                found = qpsolvers.solve_problem(
-                    problem,
-                    self._solver,
-                    initvals=None if start is None else start.x,
-                    verbose=self._verbose,
-                    **self._options,
-                )
+                if self._solver == "clarabel":
+                    found = solve_clarabel(problem, self._verbose, self._options)
+                else:
+                    found = qpsolvers.solve_problem(
+                        problem,
+                        self._solver,
+                        initvals=None if start is None else start.x,
+                        verbose=self._verbose,
+                        **self._options,
+                    )
         except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
             raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
