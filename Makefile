@@ -1,10 +1,11 @@
 # make run    install, run the economic NMPC of the 5-bus system, save trajectories and a figure
 # make test   install what the tests need and run them
 # make check  style, types, layers
+# make pglib  solve every PGLib case at hand and write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test test-slow check clean
+.PHONY: run test test-slow check pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -20,6 +21,9 @@ check: .venv/.check
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+pglib: .venv/.run
+	$(BIN)/python -m benchmarks.pglib
 
 clean:
 	rm -rf .venv results
