@@ -29,6 +29,8 @@ PACKAGES = (
     "clarabel",
     "osqp",
     "piqp",
+    "highspy",
+    "scs",
     "pypsa",
     "pandapower",
     "pypower",

@@ -9,7 +9,8 @@ import numpy as np
 import opfmodel as om
 from opfmodel.cases import read_network
 
-SCENARIO_DATA = Path(__file__).parent.parent / "scenarios" / "data"
+ROOT = Path(__file__).parent.parent
+SCENARIO_DATA, PGLIB = ROOT / "scenarios" / "data", ROOT / "tests" / "data" / "pglib"
 
 
 def case118(steps: int) -> tuple[om.Network, dict[str, np.ndarray]]:
