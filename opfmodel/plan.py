@@ -584,8 +584,11 @@ class Plan:
         """How far the plan is from the equations that its formulation relaxes, by name.
 
         For ``soc`` the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
-        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax nothing.
+        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax
+        nothing and for plans that are no optimum.
         """
+        if not self.optimal:
+            return {}
         return self.problem.formulation.relaxation(self.solution, self._network)
 
     def relaxation_gap(self, exact: Plan | float) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import DATA, SCENARIOS, demand, everything
+from conftest import DATA, ROOT, SCENARIOS, demand, everything
 from numpy.testing import assert_allclose
 
 import opfmodel as om
@@ -132,6 +133,19 @@ def test_multi_stage_soc_is_a_lower_bound() -> None:
         assert plans[formulation].optimal
     assert 0.05 < plans["soc"].relaxation_gap(plans["ac"]) < 0.15
     assert plans["soc"].relaxation["largest_angle_mismatch"] > 0.1  # the cones are tight, a loop is not
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_the_table_of_the_documentation_is_what_comes_out(formulation: str) -> None:
+    page = (ROOT / "docs" / "backends.md").read_text(encoding="utf-8")
+    (row,) = re.findall(
+        rf"^\| `{formulation}` \| (\w+) \| ([\w ]+) \| ([\d,.]+) \|", page, flags=re.MULTILINE
+    )
+    changes = {"controller.formulation": formulation}
+    scenario = om.load_scenario(SCENARIOS / "case5-step.yaml", overrides=changes)
+    found = scenario.problem().solve(initial=scenario.initial())
+    assert (found.solution.solver, found.status.replace("_", " ")) == row[:2]
+    assert found.objective == pytest.approx(float(row[2].replace(",", "")), rel=1e-6)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
