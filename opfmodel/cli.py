@@ -139,7 +139,7 @@ def solve(
                 "objective": f"{plan.objective:,.4f} $" if plan.optimal else "none",
                 "formulation": problem.formulation.name,
                 "size": f"{result['variables']:,} variables, {result['rows']:,} rows",
-                "solver": f"{plan.solution.solver}, {_count(plan.solution.iterations)} iterations",
+                "solver": f"{plan.solution.solver}, {_count(plan.solution.iterations, 'iterations')}",
                 "time": f"{problem.build_seconds:.3f} s build, {plan.solution.seconds:.3f} s solve",
                 "max violation": f"{report.max_violation:.1e} p.u.{place}",
             }
@@ -380,8 +380,9 @@ def _print_comparisons(comparisons: list[Comparison]) -> None:
     Console().print(shown)
 
 
-def _count(iterations: float | None) -> str:
-    return "unknown" if iterations is None else f"{iterations:.1f}".removesuffix(".0")
+def _count(iterations: float | None, what: str) -> str:
+    """Iterations as text; a solver that does not tell them has none."""
+    return f"no {what} told" if iterations is None else f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
 
 
 def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
@@ -394,7 +395,7 @@ def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
             "status": "done" if done else f"{summary['status']}: {summary['termination']}",
             "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps" if summary["steps"] else "none",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
-            "iterations": f"{_count(summary['iterations_mean'])} mean",
+            "iterations": _count(summary["iterations_mean"], "mean"),
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
             "results": f"{folder}" if summary["steps"] else "none",
         }

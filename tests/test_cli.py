@@ -83,7 +83,7 @@ def test_any_formulation_and_solver_by_name(call: Call) -> None:
     assert result["iterations"] > 0
     code, out, _ = call("solve", CASE14, "--formulation", "dc", "--solver", "qp:highs")
     assert code == 0
-    assert "highs, unknown iterations" in out
+    assert "highs, no iterations told" in out
 
 
 def test_run_saves_trajectories_summary_and_a_figure(call: Call, tmp_path: Path) -> None:
