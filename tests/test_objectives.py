@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 import opfmodel as om
 from opfmodel.errors import ModelError
+from solvers import UnsupportedProgramError
 
 STEPS = 5
 LOADS = {"town.p": [70.0, 90, 110, 90, 80], "town.q": [20.0, 30, 40, 30, 25]}
@@ -115,8 +116,12 @@ def test_each_objective_drives_the_plan_where_it_should() -> None:
     e = solve(om.StateOfChargeTracking(0.5)).data["e_next"].sel(storage="cell").values
     # 10 MW is the most it can give; what is left at the end costs nothing; 0.05 MWh cost 2.5e-7 $
     assert_allclose(e[:-1], [110, 100, 100, 100], atol=0.05)
-    price = solve(om.Economic() + om.StoredEnergyValue(price=1000.0)).data["e_next"].values[-1, 0]
-    assert price == pytest.approx(170, abs=1e-3)
+    left = {
+        price: solve(om.Economic() + om.StoredEnergyValue(price)).data["e_next"].values[-1, 0]
+        for price in (0.0, 1000.0)
+    }
+    assert left[0.0] == pytest.approx(70, abs=1e-3)  # 120 MWh less five hours of 10 MW
+    assert left[1000.0] > 160  # and nearly as much more, but for the rating of the line
 
 
 def _losses(plan: om.Plan) -> float:
@@ -197,6 +202,17 @@ def test_what_a_formulation_lacks_is_refused_by_name() -> None:
     ):
         with pytest.raises(ModelError, match=f"needs {missing}, which formulation '{formulation}'"):
             solve(objective, formulation)
+
+
+def test_an_indefinite_cost_is_refused_by_convex_back_ends() -> None:
+    indefinite = om.LinearQuadratic(Q={"pg": 1.0, "e": -1.0})
+    with pytest.raises(UnsupportedProgramError, match=r"not convex.*ipopt"):
+        solve(indefinite, "dc", solver="qp")
+    coupled = [[1.0, 0.0, 0.9], [0.0, 1.0, 0.0], [0.9, 0.0, 1.0]]
+    both = [
+        solve(om.LinearQuadratic(Q=coupled), "soc", solver=solver).objective for solver in ("conic", "ipopt")
+    ]
+    assert both[0] == pytest.approx(both[1], rel=1e-5)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
