@@ -18,12 +18,19 @@ __all__ = ["Solution", "Start"]
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A point to start from: primal values and, where known, multipliers."""
+    """A point to start from: primal values and, where known, multipliers.
+
+    Attributes
+    ----------
+    moved
+        By how many stages the point was moved in time; back ends trust one that was not moved more.
+    """
 
     x: Array
     lam_x: Array | None = None
     lam_g: Array | None = None
     z: Array | None = None
+    moved: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,16 +174,19 @@ class Solution:
         return Start(self.x, self.lam_x, self.lam_g, self.z)
 
     def shifted(self, stages: int = 1) -> Start:
-        """This point moved ahead: every block drops its first stages and repeats its last.
+        """This point moved ahead in time: every block drops its first stages.
 
-        Blocks of a single stage stay as they are.
+        The last stage stays in place, and those before it are repeated to fill the gap: a horizon
+        ends in the same way wherever it lies, and the multipliers of its end, where nothing is
+        worth storing, must not be met earlier. Blocks of a single stage stay as they are.
         """
 
         def shift(vector: Array, blocks: Iterable[Block | Cone]) -> Array:
             moved = vector.copy()
             for block in blocks:
                 last = block.stages - 1
-                stage = np.minimum(np.arange(block.stages) + stages, last)
+                stage = np.minimum(np.arange(block.stages) + stages, max(last - 1, 0))
+                stage[last] = last
                 moved[block.slice] = block.read(vector)[..., stage].ravel(order="F")
             return moved
 
@@ -186,6 +196,7 @@ class Solution:
             shift(self.lam_x, variables),
             shift(self.lam_g, self.program.rows.values()),
             shift(self.z, self.program.cones.values()),
+            moved=stages,
         )
 
 

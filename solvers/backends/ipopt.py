@@ -35,15 +35,22 @@ _COLD: dict[str, Any] = {
 _COLD_IN_TIME: dict[str, Any] = {"mu_init": 1e-2}
 # Without scaling, rows of cones make MUMPS delay pivots until the factors are nearly dense.
 _WITH_CONES: dict[str, Any] = {"mumps_scaling": 77}
-_WARM: dict[str, Any] = _COLD | {
-    "warm_start_init_point": "yes",
-    "warm_start_bound_push": 1e-6,
-    "warm_start_bound_frac": 1e-6,
-    "warm_start_slack_bound_push": 1e-6,
-    "warm_start_slack_bound_frac": 1e-6,
-    "warm_start_mult_bound_push": 1e-6,
-    "mu_init": 1e-7,
-}
+_PUSHES = (
+    "warm_start_bound_push",
+    "warm_start_bound_frac",
+    "warm_start_slack_bound_push",
+    "warm_start_slack_bound_frac",
+    "warm_start_mult_bound_push",
+)
+
+
+def _warm(push: float) -> dict[str, Any]:
+    return _COLD | {"warm_start_init_point": "yes", "mu_init": 1e-7} | dict.fromkeys(_PUSHES, push)
+
+
+# The same problem again starts at its solution. One that moved in time has other active limits, and from
+# a point that is as close to the old ones IPOPT takes tiny steps; docs/warm-start.md has the figures.
+_OPTIONS = {"cold": _COLD, "again": _warm(1e-6), "moved": _warm(1e-2)}
 # Plugins that take their own options in a dictionary of their own name.
 _NESTED = ("ipopt", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp", "fatrop", "conopt")
 
@@ -102,14 +109,14 @@ class IpoptSession:
         self._plugin = plugin
         self._options = options
         self._verbose = verbose
-        self._solvers: dict[bool, Any] = {}
+        self._solvers: dict[str, Any] = {}
         self._convex = classify(program).kind < Kind.NONLINEAR
         self._curvature_varies = curvature_varies(program)
-        self._solver(warm=False)
+        self._solver("cold")
 
-    def _solver(self, warm: bool) -> Any:
-        """The plugin with the options for a cold or a warm start; both share all functions."""
-        if warm not in self._solvers:
+    def _solver(self, situation: str) -> Any:
+        """The plugin with the options for a situation; all share the same functions."""
+        if situation not in self._solvers:
             functions = {
                 "grad_f": self._assembly.gradient,
                 "jac_g": self._assembly.jacobian,
@@ -118,16 +125,16 @@ class IpoptSession:
             # the plugins that do not take all three want them in other forms, and derive their own
             given = functions if set(functions) <= set(ca.nlpsol_options(self._plugin)) else {}
             try:
-                self._solvers[warm] = ca.nlpsol(
-                    "solver", self._plugin, self._assembly.oracle, given | self._plugin_options(warm)
+                self._solvers[situation] = ca.nlpsol(
+                    "solver", self._plugin, self._assembly.oracle, given | self._plugin_options(situation)
                 )
             except RuntimeError as error:
                 raise SolverOptionError(
                     f"{self._plugin} refused its options {self._options or '(defaults)'}: {_reason(error)}"
                 ) from error
-        return self._solvers[warm]
+        return self._solvers[situation]
 
-    def _plugin_options(self, warm: bool) -> dict[str, Any]:
+    def _plugin_options(self, situation: str) -> dict[str, Any]:
         general: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,
@@ -137,17 +144,17 @@ class IpoptSession:
             own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
             return general | own
         printing = {"print_level": 5} if self._verbose else {"print_level": 0, "sb": "yes"}
-        situation = dict(_WARM if warm else _COLD)
-        if not warm and any(block.stages > 1 for block in self._program.variables.values()):
-            situation |= _COLD_IN_TIME
+        options = dict(_OPTIONS[situation])
+        if situation == "cold" and any(block.stages > 1 for block in self._program.variables.values()):
+            options |= _COLD_IN_TIME
         if self._program.cones:
-            situation |= _WITH_CONES
-        return general | {"ipopt": situation | printing | self._options}
+            options |= _WITH_CONES
+        return general | {"ipopt": options | printing | self._options}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve; with the multipliers of an earlier solution the start is a warm one."""
         at = self._smooth.instance(instance)
-        warm = start is not None and start.lam_g is not None and start.lam_x is not None
+        situation = "cold"
         arguments: dict[str, Any] = {
             "x0": instance.start if start is None else start.x,
             "p": at.parameters,
@@ -159,7 +166,8 @@ class IpoptSession:
         if start is not None and start.lam_x is not None and start.lam_g is not None:
             arguments["lam_x0"] = start.lam_x
             arguments["lam_g0"] = self._row_multipliers(start.lam_g, start, at)
-        solver = self._solver(warm)
+            situation = "moved" if start.moved else "again"
+        solver = self._solver(situation)
         began = time.perf_counter()
         try:
             with interruptible():
