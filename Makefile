@@ -1,11 +1,12 @@
 # make run    install, run the economic NMPC of the 5-bus system, save trajectories and a figure
 # make test   install what the tests need and run them
 # make check  style, types, layers
+# make table  run the closed loops of the paper's four systems and write docs/paper-table.md
 # make pglib  solve every PGLib case at hand and write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test test-slow check pglib clean
+.PHONY: run test test-slow check table pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -21,6 +22,9 @@ check: .venv/.check
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+table: .venv/.run
+	$(BIN)/python -m benchmarks.paper
 
 pglib: .venv/.run
 	$(BIN)/python -m benchmarks.pglib
