@@ -18,8 +18,9 @@ SYSTEMS = ("case5-random", "case5-step", "case118-random", "case118-step")
 
 TEXT = """# The paper's table
 
-Costs in thousands of $ of T. Faulwasser and A. Engelmann, "Towards economic NMPC for multi-stage AC optimal power flow" (2019),
-Table 1, beside ours. `make table` writes this page; `tests/test_paper.py` holds the code to it.
+Costs in thousands of $ of T. Faulwasser and A. Engelmann, "Towards economic NMPC for multi-stage AC optimal
+power flow" (2019), Table 1, beside ours. `make table` writes this page; `tests/test_paper.py` holds the
+code to it.
 
 - **J_e**: closed loop of economic control, horizon 48 h, 49 steps.
 - **J_s**: sum of single-stage optima, without storage and ramps.
@@ -28,20 +29,22 @@ Table 1, beside ours. `make table` writes this page; `tests/test_paper.py` holds
 
 {table}
 
-**Why they differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The steps of demand here (at bus 4 of the
-5-bus system, at buses 59 and 116 of the 118-bus system) and the random demand (the load of Germany in a week of July 2019 with noise at
-every bus; the paper used a day of July 2018) are our choices, stated in the scenario files. The level of the random demand was chosen so
-that J_s is near the paper's; nothing else was fitted, and no other cost was looked at when choosing. What can be compared is therefore the
-order J_e < J_s ≤ J_t < J_b, which holds in all four systems in the paper and here, and the size of the steps between them:
+**Why they differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The steps
+of demand here (at bus 4 of the 5-bus system, at buses 59 and 116 of the 118-bus system) and the random
+demand (the load of Germany in a week of July 2019 with noise at every bus; the paper used a day of July
+2018) are our choices, stated in the scenario files. The level of the random demand was chosen so that J_s
+is near the paper's; nothing else was fitted, and no other cost was looked at when choosing. What can be
+compared is therefore the order J_e < J_s ≤ J_t < J_b, which holds in all four systems in the paper and
+here, and the size of the steps between them:
 
 {gains}
 
-J_b is not unique: its objective leaves generation undetermined, so it depends on where a solver ends in a set of equally good
-dispatches. J_t of the paper's 118-bus step system lies 3.6 % above J_s; ours is within 0.01 %: at these steps of demand ramps
-and storages suffice to follow the single-stage optima closely.
+J_b is not unique: its objective leaves generation undetermined, so it depends on where a solver ends in a
+set of equally good dispatches. J_t of the paper's 118-bus step system lies 3.6 % above J_s; ours is within
+0.01 %: at these steps of demand ramps and storages suffice to follow the single-stage optima closely.
 
-Our figures for the two step systems were reproduced by a separate program from the same data: J_e 972.61, J_s 976.35 and J_t 976.85
-(5 buses), 6309.98, 6386.57 and 6386.81 (118 buses).
+Our figures for the two step systems were reproduced by a separate program from the same data: J_e 972.61,
+J_s 976.35 and J_t 976.85 (5 buses), 6309.98, 6386.57 and 6386.81 (118 buses).
 
 {stamp}
 """
