@@ -40,10 +40,10 @@ class PlainProblem:
         angle[network.reference] = 0.0
         limited = np.flatnonzero(np.isfinite(branch.rating)).tolist()
         pd, qd = ca.MX.sym("pd", n, horizon), ca.MX.sym("qd", n, horizon)
+        energy, before = ca.MX.sym("e0", s), ca.MX.sym("pg0", g)
+        parameters = ca.vertcat(ca.vec(pd), ca.vec(qd), energy, before)
         variables, rows, cost = [], [], 0
         lower, upper, start, row_lower, row_upper = [], [], [], [], []
-        energy: Any = sto.initial
-        before: Any = None
         for k in range(horizon):
             vm, va = ca.MX.sym(f"vm{k}", n), ca.MX.sym(f"va{k}", n)
             pg, qg = ca.MX.sym(f"pg{k}", g), ca.MX.sym(f"qg{k}", g)
@@ -66,10 +66,12 @@ class PlainProblem:
                 rows += [(pf**2 + qf**2)[limited], (pt**2 + qt**2)[limited]]
                 row_lower += [np.full(2 * len(limited), -np.inf)]
                 row_upper += [np.tile(branch.rating[limited] ** 2, 2)]
-            if before is not None:
-                rows.append(pg - before)
-                row_lower.append(-gen.ramp)
-                row_upper.append(gen.ramp)
+            rows.append(pg - before)
+            if k == 0:
+                first = sum(len(values) for values in row_lower)
+                self.first_ramp = slice(first, first + g)
+            row_lower.append(-gen.ramp)
+            row_upper.append(gen.ramp)
             cost += ca.sum1(gen.c2 * pg**2 + gen.c1 * pg + gen.c0)
             cost += weight * (ca.sumsqr(qg) + ca.sumsqr(energy)) + regularisation * (
                 ca.sumsqr(ps) + ca.sumsqr(qs)
@@ -82,21 +84,45 @@ class PlainProblem:
             "ubg": np.concatenate(row_upper),
         }
         self.start = np.concatenate(start)
+        self.initial = (sto.initial, None)
+        self.places = {"pg": slice(2 * n, 2 * n + g), "e": slice(2 * n + 2 * g + 2 * s, 2 * n + 2 * g + 3 * s)}
         problem = {
             "x": ca.vertcat(*variables),
-            "p": ca.vertcat(ca.vec(pd), ca.vec(qd)),
+            "p": parameters,
             "f": cost,
             "g": ca.vertcat(*rows),
         }
         options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
         self.solver = ca.nlpsol("plain", "ipopt", problem, options)
 
-    def solve(self, pd: np.ndarray, qd: np.ndarray) -> dict[str, Any]:
-        """Solve for a demand of shape ``(buses, stages)`` each."""
-        demand = np.concatenate([pd.ravel(order="F"), qd.ravel(order="F")])
-        result = self.solver(x0=self.start, p=demand, **self.bounds)
+    def solve(
+        self,
+        pd: np.ndarray,
+        qd: np.ndarray,
+        state: tuple[np.ndarray, np.ndarray | None] | None = None,
+        start: np.ndarray | None = None,
+    ) -> dict[str, Any]:
+        """Solve for a demand of shape ``(buses, stages)`` each.
+
+        Parameters
+        ----------
+        state
+            Energy and last dispatch; without a dispatch the first stage has no ramp.
+        start
+            Primal values to start from, such as the last solution.
+        """
+        energy, dispatch = self.initial if state is None else state
+        bounds = {key: values.copy() for key, values in self.bounds.items()}
+        if dispatch is None:
+            bounds["lbg"][self.first_ramp], bounds["ubg"][self.first_ramp] = -np.inf, np.inf
+            dispatch = np.zeros(self.places["pg"].stop - self.places["pg"].start)
+        given = np.concatenate([pd.ravel(order="F"), qd.ravel(order="F"), energy, dispatch])
+        result = self.solver(x0=self.start if start is None else start, p=given, **bounds)
         stats = self.solver.stats()
+        x = np.asarray(result["x"]).ravel()
         return {
+            "x": x,
+            "state": (x[self.places["e"]], x[self.places["pg"]]),
             "objective": float(result["f"]),
             "iterations": int(stats["iter_count"]),
             "status": str(stats["return_status"]),
