@@ -9,7 +9,7 @@ from typing import Any
 
 from opfmodel import plugins
 from opfmodel.errors import PluginError
-from solvers import back_ends, broken_back_ends
+from solvers import back_ends, broken_back_ends, installed
 
 __all__ = ["Entry", "catalogue"]
 
@@ -48,11 +48,13 @@ def catalogue() -> list[Entry]:
                 summary, broken = f"BROKEN: {error}", True
             entries.append(Entry(sort, plugin.name, plugin.origin, summary, broken))
     origins = {p.name: p.dist.name if p.dist else "unknown" for p in entry_points(group="solvers.backends")}
+    broken_ends = broken_back_ends()
     for name, end in back_ends().items():
-        installed = ", ".join(end.solvers()) or "nothing installed"
-        summary = f"{_first_line(type(end))} Solves: {end.accepts}. Solvers: {installed}."
-        entries.append(Entry("back end", name, origins.get(name, "unknown"), summary))
-    for name, reason in broken_back_ends().items():
+        if name not in broken_ends:
+            called = ", ".join(installed(end)) or "nothing installed"
+            summary = f"{_first_line(type(end))} Solves: {end.accepts}. Solvers: {called}."
+            entries.append(Entry("back end", name, origins.get(name, "unknown"), summary))
+    for name, reason in broken_ends.items():
         entries.append(Entry("back end", name, origins.get(name, "unknown"), f"BROKEN: {reason}", True))
     return entries
 

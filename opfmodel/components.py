@@ -28,6 +28,7 @@ import numpy as np
 from opfmodel.errors import ComponentError, NetworkError, nearest
 
 __all__ = [
+    "BUILT_IN",
     "Branch",
     "Bus",
     "Component",
@@ -544,6 +545,10 @@ class Shunt(Component):
     g: float = number("MW", 0.0)
     b: float = number("MVAr", 0.0)
     in_service: bool = _flag(True)
+
+
+BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+"""The kinds of this package; devices of others bring their own."""
 
 
 # The network ------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ __all__ = [
     "OpfmodelError",
     "PluginError",
     "ProfileError",
+    "QuantityError",
     "ResultError",
     "ScenarioError",
     "nearest",
@@ -59,6 +60,21 @@ class ProfileError(OpfmodelError):
 
 class ModelError(OpfmodelError):
     """A formulation, objective, device or horizon that do not fit together."""
+
+
+class QuantityError(ModelError):
+    """A quantity that is not there: unknown, or not published by the formulation.
+
+    Attributes
+    ----------
+    kind, quantity
+        Kind of component and name of the quantity.
+    """
+
+    def __init__(self, kind: str, quantity: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.quantity = quantity
 
 
 class PluginError(OpfmodelError):

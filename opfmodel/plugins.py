@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,13 +12,21 @@ from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
 
-__all__ = ["GROUPS", "Plugin", "load", "make", "plugins"]
+__all__ = ["GROUPS", "Plugin", "load", "make", "plugins", "rescan"]
 
 GROUPS = {
     "objective": "opfmodel.objectives",
     "formulation": "opfmodel.formulations",
     "device": "opfmodel.devices",
     "profile": "opfmodel.profiles",
+}
+
+# What a plugin must be a subclass of; by name, because these live in layers above.
+_BASES = {
+    "objective": "opfmodel.objectives.base:Objective",
+    "formulation": "opfmodel.formulations.base:Formulation",
+    "device": "opfmodel.model:Device",
+    "profile": "opfmodel.profiles.base:ProfileRule",
 }
 
 
@@ -42,15 +51,17 @@ class Plugin:
         Raises
         ------
         PluginError
-            Its module does not import.
+            Its module does not import, or what it names is not a class of this sort.
         """
+        where = f"{self.sort} {self.name!r} of {self.origin} cannot be loaded ({self.point.value})"
         try:
-            return self.point.load()
-        except Exception as error:  # a third party's module may raise anything
-            raise PluginError(
-                f"{self.sort} {self.name!r} of {self.origin} cannot be loaded "
-                f"({self.point.value}): {type(error).__name__}: {error}"
-            ) from error
+            loaded = self.point.load()
+        except (Exception, SystemExit) as error:  # a third party's module may raise anything
+            raise PluginError(f"{where}: {type(error).__name__}: {error}") from error
+        base: type[Any] = pkgutil.resolve_name(_BASES[self.sort])
+        if not (isinstance(loaded, type) and issubclass(loaded, base)):
+            raise PluginError(f"{where}: {loaded!r} is not a subclass of {base.__module__}.{base.__name__}")
+        return loaded
 
 
 @cache
@@ -62,6 +73,11 @@ def plugins(sort: str) -> dict[str, Plugin]:
         if point.name not in found or origin == "opfmodel":
             found[point.name] = Plugin(sort, point.name, origin, point)
     return dict(sorted(found.items()))
+
+
+def rescan() -> None:
+    """Look for plugins again, when one was installed while the program runs."""
+    plugins.cache_clear()
 
 
 def load(sort: str, name: str) -> Any:

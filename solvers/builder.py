@@ -192,10 +192,12 @@ class ProgramBuilder:
         return constant(self, values)
 
     def epigraph(
-        self, pieces: Sequence[Expression], owner: Index | None = None, items: int | None = None
+        self, pieces: Sequence[Expression | Sum], owner: Index | None = None, items: int | None = None
     ) -> Expression:
         """A new variable that lies above each piece. See :func:`solvers.largest`."""
         shape = np.broadcast_shapes(*(p.shape for p in pieces))
+        if shape[0] != 1 and any(isinstance(p, Sum) for p in pieces):
+            raise ProgramError(f"a sum has one value per stage; it does not combine with {shape[0]} items")
         name = f"largest_{sum(n.startswith('largest_') for n in self._variables) + 1}"
         above = self.variable(name, shape[0] if items is None else items, shape[1])
         for position, piece in enumerate(pieces):
