@@ -9,6 +9,7 @@ __all__ = [
     "CaseError",
     "CaseWarning",
     "ComponentError",
+    "ConstraintError",
     "ModelError",
     "NetworkError",
     "OpfmodelError",
@@ -75,6 +76,20 @@ class QuantityError(ModelError):
         super().__init__(message)
         self.kind = kind
         self.quantity = quantity
+
+
+class ConstraintError(ModelError):
+    """A constraint of a scenario file is not well formed, or names what is not there.
+
+    Attributes
+    ----------
+    key
+        Keys below the constraint's name that lead to the mistake.
+    """
+
+    def __init__(self, message: str, *key: str) -> None:
+        super().__init__(message)
+        self.key = key
 
 
 class PluginError(OpfmodelError):

@@ -287,11 +287,22 @@ class MultiStage:
     def _check_needs(self, model: Model) -> None:
         missing = [name for name in self.objective.needs if not model.has(name)]
         if missing:
+            able = _publishing(missing)
             raise ModelError(
                 f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
                 f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
-                + _publishing(missing)
+                + (f"; formulations that publish it: {', '.join(able)}" if able else "")
             )
+
+    def explain(self, error: QuantityError) -> str:
+        """What to tell somebody whose constraint uses a quantity that is not published here."""
+        able = _publishing([error.quantity])
+        if not able:
+            return str(error)
+        return (
+            f"formulation {self.formulation.name!r} does not publish {error.kind}.{error.quantity}; "
+            f"formulations that do: {', '.join(able)}"
+        )
 
     def _minimize(self, model: Model) -> None:
         build = model.build
@@ -315,11 +326,7 @@ class MultiStage:
         try:
             stated = own.state(PhysicalStage(model))
         except QuantityError as error:
-            raise ModelError(
-                f"constraint {name!r} uses {error.kind}.{error.quantity}, which formulation "
-                f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
-                + (_publishing([error.quantity]) or f": {error}")
-            ) from error
+            raise ModelError(f"constraint {name!r}: {self.explain(error)}") from error
         except (ModelError, SolverError) as error:
             raise ModelError(f"constraint {name!r}: {error}") from error
         if isinstance(stated, Expression | Sum) and own.limited:
@@ -546,6 +553,9 @@ class _PhysicalQuantities:
         self._model = model
         self._kind = kind
 
+    def __contains__(self, name: str) -> bool:
+        return name in getattr(self._model, self._kind)
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
@@ -585,8 +595,8 @@ def make_devices(network: PerUnitNetwork) -> list[Device]:
     ]
 
 
-def _publishing(quantities: list[str]) -> str:
-    """The end of a message: formulations that publish some quantities, if there are any."""
+def _publishing(quantities: list[str]) -> list[str]:
+    """Formulations that publish some quantities."""
     able = []
     for name, plugin in plugins.plugins("formulation").items():
         try:
@@ -594,7 +604,7 @@ def _publishing(quantities: list[str]) -> str:
                 able.append(name)
         except PluginError:
             continue  # "opfmodel list" reports it
-    return f"; formulations that publish it: {', '.join(able)}" if able else ""
+    return able
 
 
 # Plans ------------------------------------------------------------------------------------------
