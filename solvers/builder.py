@@ -165,10 +165,15 @@ class ProgramBuilder:
         return rows
 
     def cone(self, name: str, bound: Any, *entries: Any) -> None:
-        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables."""
+        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables.
+
+        Of expressions without entries there is no cone.
+        """
         expressions = [self.expression(e) for e in (bound, *entries)]
         shape = np.broadcast_shapes(*(e.shape for e in expressions))
         self._check_new(name)
+        if not shape[0] * shape[1]:
+            return
         offset = sum(c.size for c in self._cones.values())
         cone = Cone(name, len(expressions), shape[0], shape[1], offset)
         self._cones[name] = cone

@@ -10,19 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import OptimizeWarning, linprog
 
-from solvers import (
-    Evaluator,
-    Instance,
-    Kind,
-    MatrixMaker,
-    Program,
-    Solution,
-    SolutionStatus,
-    SolverOptionError,
-    Start,
-    TerminationCondition,
-    standard_form,
-)
+from solvers import Evaluator, Instance, Kind, MatrixMaker, Program, Solution, Start, standard_form
+from solvers.errors import SolverOptionError
+from solvers.status import SolutionStatus, TerminationCondition
 
 __all__ = ["LinProg"]
 
