@@ -38,7 +38,7 @@ class Entry:
 
 
 def catalogue() -> list[Entry]:
-    """All plugins by sort and name; one that does not load is reported and stops nothing."""
+    """All plugins by sort and name; one that does not load or is out of reach is said to be so."""
     entries = []
     for sort in plugins.GROUPS:
         for plugin in plugins.plugins(sort).values():
@@ -47,6 +47,9 @@ def catalogue() -> list[Entry]:
             except PluginError as error:
                 summary, broken = f"BROKEN: {error}", True
             entries.append(Entry(sort, plugin.name, plugin.origin, summary, broken))
+        for plugin, winner in plugins.hidden(sort):
+            summary = f"BROKEN: out of reach behind the {sort} of the same name of {winner.origin}"
+            entries.append(Entry(sort, plugin.name, plugin.origin, summary, True))
     origins = {p.name: p.dist.name if p.dist else "unknown" for p in entry_points(group="solvers.backends")}
     broken_ends = broken_back_ends()
     for name, end in back_ends().items():

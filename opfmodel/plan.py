@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -95,6 +95,8 @@ class MultiStage:
     regularisation
         Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed
         and is not part of any reported cost. By default the objective's own.
+    devices
+        Devices for kinds of components that no plugin provides, or in place of a plugin's.
     solver, options
         Back end and its options; see :func:`solvers.prepare`.
     verbose
@@ -124,6 +126,7 @@ class MultiStage:
         generator_delay: int = 0,
         end: End | None = None,
         regularisation: float | None = None,
+        devices: Iterable[Device] = (),
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
@@ -145,6 +148,7 @@ class MultiStage:
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = self.objective.regularisation if regularisation is None else regularisation
+        self.devices = make_devices(self.arrays, devices)
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
@@ -202,11 +206,6 @@ class MultiStage:
             raise ModelError(f"two constraints are named {name!r}")
         limits = _limit(name, "at_least", at_least, -np.inf), _limit(name, "at_most", at_most, np.inf)
         self._constraints[name] = _Own(constraint, *limits)
-
-    @cached_property
-    def devices(self) -> list[Device]:
-        """The devices of the network."""
-        return make_devices(self.arrays)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -585,11 +584,12 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
     return made
 
 
-def make_devices(network: PerUnitNetwork) -> list[Device]:
+def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
     """The devices of a network: one object per kind that has components and takes part in the balance."""
     wired = ("bus", "branch", "shunt")
+    by_kind = {device.component.kind: device for device in given}
     return [
-        plugins.load("device", kind)()
+        by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
         for kind, table in network.tables.items()
         if kind not in wired and len(table)
     ]

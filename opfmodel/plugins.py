@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
 
-__all__ = ["GROUPS", "Plugin", "load", "make", "plugins", "rescan"]
+__all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
 GROUPS = {
     "objective": "opfmodel.objectives",
@@ -64,20 +64,33 @@ class Plugin:
         return loaded
 
 
-@cache
 def plugins(sort: str) -> dict[str, Plugin]:
     """All plugins of a sort by name; this package's own win over others of the same name."""
     found: dict[str, Plugin] = {}
+    for plugin in _every(sort):
+        found.setdefault(plugin.name, plugin)
+    return dict(sorted(found.items()))
+
+
+def hidden(sort: str) -> list[tuple[Plugin, Plugin]]:
+    """Plugins that cannot be reached, each with the one that has its name."""
+    winners = plugins(sort)
+    return [(p, winners[p.name]) for p in _every(sort) if p is not winners[p.name]]
+
+
+@cache
+def _every(sort: str) -> tuple[Plugin, ...]:
+    """All plugins of a sort, this package's own first, then by origin."""
+    found = []
     for point in entry_points(group=GROUPS[sort]):
         origin = point.dist.name if point.dist is not None else "unknown"
-        if point.name not in found or origin == "opfmodel":
-            found[point.name] = Plugin(sort, point.name, origin, point)
-    return dict(sorted(found.items()))
+        found.append(Plugin(sort, point.name, origin, point))
+    return tuple(sorted(found, key=lambda plugin: (plugin.origin != "opfmodel", plugin.origin)))
 
 
 def rescan() -> None:
     """Look for plugins again, when one was installed while the program runs."""
-    plugins.cache_clear()
+    _every.cache_clear()
 
 
 def load(sort: str, name: str) -> Any:

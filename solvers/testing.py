@@ -58,8 +58,8 @@ class Contract:
         except ContractError:
             raise
         except Exception as error:  # whatever it is, it breaks the rule
-            message = f"{self.subject} breaks the rule '{rule}': {type(error).__name__}: {error}"
-            raise ContractError(message) from error
+            reason = f"{type(error).__name__}: {error}".partition("\n")[0]
+            raise ContractError(f"{self.subject} breaks the rule '{rule}': {reason}") from error
 
 
 # Problems -----------------------------------------------------------------------------------------

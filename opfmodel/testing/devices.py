@@ -51,7 +51,7 @@ def check_device(device: Device, example: Component) -> None:
     _check_declarations(rules, device, grid)
     rng = np.random.default_rng(1)
     for horizon in (1, 3):
-        problem = MultiStage(grid, horizon, formulation="dc", regularisation=0.0)
+        problem = MultiStage(grid, horizon, formulation="dc", regularisation=0.0, devices=[device])
         with rules.rule("compiles with a linear network"):
             program = problem.compile()
         kind = classify(program).kind
@@ -70,7 +70,7 @@ def check_device(device: Device, example: Component) -> None:
             )
         for one, other in pairwise(points):
             _check_cost(rules, device, one.stage, other.stage, horizon)
-    _check_loop(rules, grid)
+    _check_loop(rules, device, grid)
 
 
 def _check_component(rules: Contract, device: Device, example: Component) -> None:
@@ -178,9 +178,9 @@ def _check_cost(rules: Contract, device: Device, one: NumericStage, other: Numer
     )
 
 
-def _check_loop(rules: Contract, grid: Network) -> None:
+def _check_loop(rules: Contract, device: Device, grid: Network) -> None:
     """A closed loop with the AC equations: states are handed on, results are complete."""
-    problem = MultiStage(grid, 2)
+    problem = MultiStage(grid, 2, devices=[device])
     with rules.rule("runs in a closed loop"):
         run = simulate(problem, steps=3)
         data = run.data

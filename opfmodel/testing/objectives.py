@@ -13,7 +13,7 @@ from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.model import NumericStage, Quantities
-from opfmodel.objectives.base import Objective
+from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.testing.grids import demand, feeder
 from opfmodel.testing.options import check_options
@@ -46,7 +46,8 @@ def check_objective(
     """
     rules = Contract(f"objective {type(objective).__name__}")
     rules.require(isinstance(objective, Objective), "is an Objective")
-    check_options(rules, type(objective))
+    for _, part in objective.parts if isinstance(objective, WeightedSum) else [(1.0, objective)]:
+        check_options(rules, type(part))
     plain = isinstance(objective.needs, tuple) and all(isinstance(name, str) for name in objective.needs)
     rules.require(plain, "needs is a tuple of names", repr(objective.needs))
     if network is None:
