@@ -475,7 +475,8 @@ def _no_flows(_: _Checker) -> Flows:
 def _reported_flows(c: _Checker) -> Flows:
     """Of a formulation that is not known here: the flows that it reports, if it does."""
     c.leave_out(f"branch equations of the formulation {c.formulation!r}")
-    if not c.angles_known:
+    limits = [branch.angle for branch in c.of(Branch, "branch").values()]
+    if not c.angles_known and any(least > -360 or most < 360 for least, most in limits):
         c.leave_out("angle differences")
     if c.reactive and not {"vm", "w"} & set(c.data):
         c.leave_out("voltages")

@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ConstraintError, nearest
+from opfmodel.errors import ConstraintError, ProfileError, nearest
 from opfmodel.model import Stage
 from opfmodel.network import Index
+from opfmodel.profiles.columns import read_columns
 from solvers import Sum, total
 
 __all__ = ["Limited", "Linear"]
@@ -93,15 +95,18 @@ class Limited:
     at_most: float | list[float] | None
 
     @classmethod
-    def from_mapping(cls, values: object, steps: int) -> Limited:
+    def from_mapping(cls, values: object, steps: int, folder: Path) -> Limited:
         """Make a constraint from plain values, as a scenario file has them.
 
         Parameters
         ----------
         values
-            ``terms``, and ``at_least``, ``at_most`` or both, or ``equal``.
+            ``terms``, and ``at_least``, ``at_most`` or both, or ``equal``: each a number, a list, or
+            ``{file: , column: }``.
         steps
             Number of values that a limit over time needs.
+        folder
+            Where relative file names start from.
 
         Raises
         ------
@@ -117,7 +122,7 @@ class Limited:
         terms = values.get("terms")
         if not isinstance(terms, Mapping):
             raise ConstraintError("must be a mapping from kind.quantity to factors", "terms")
-        limits = {key: _limit(values[key], key, steps) for key in known[1:] if key in values}
+        limits = {key: _limit(values[key], key, steps, folder) for key in known[1:] if key in values}
         if not limits:
             raise ConstraintError("needs a limit: at_least, at_most or equal")
         if "equal" in limits:
@@ -138,7 +143,15 @@ class Limited:
             raise ConstraintError(f"at_least = {least:g} is above at_most = {most:g}", "at_least")
 
 
-def _limit(value: object, key: str, steps: int) -> float | list[float]:
+def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[float]:
+    if isinstance(value, Mapping):
+        if set(value) != {"file", "column"}:
+            raise ConstraintError("must be a number, a list, or {file: , column: }", key)
+        path, heading = folder / str(value["file"]), str(value["column"])
+        try:
+            return [float(number) for number in read_columns(path, steps, [heading])[heading]]
+        except ProfileError as error:
+            raise ConstraintError(str(error), key) from error
     numbers = []
     for number in value if isinstance(value, list) else [value]:
         if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):

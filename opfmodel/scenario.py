@@ -500,7 +500,7 @@ def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
     steps = settings.time.steps + settings.controller.horizon - 1
     for name, values in settings.constraints.items():
         with _in_constraint(document, name):
-            made[name] = Limited.from_mapping(values, steps)
+            made[name] = Limited.from_mapping(values, steps, document.path.parent)
     return made
 
 

@@ -123,6 +123,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             formulation=problem.formulation,
             objective=problem.objective,
             profiles=profiles,
+            devices=problem.devices,
             solver=problem.solver,
             options=problem.options,
         ).solve()

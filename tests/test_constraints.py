@@ -213,6 +213,19 @@ def test_a_number_of_the_network_follows_its_time_series(tmp_path: Path) -> None
     assert [plan.status for plan in plans] == ["globally_optimal", "proven_infeasible"]  # 200 - 90, 180 - 90
 
 
+def test_a_limit_from_a_file(tmp_path: Path) -> None:
+    (tmp_path / "limits.csv").write_text("# MW\nhour,export\n0,80\n1,70\n2,60\n3,50\n")
+    text = SCENARIO.replace("[80, 70, 60, 50]", "{file: limits.csv, column: export}")
+    assert scenario(tmp_path, text).constraints["export"].at_most == [80, 70, 60, 50]
+    for old, new, message in (
+        ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
+        ("limits.csv", "none.csv", "none.csv: cannot be read"),
+        ("file:", "fiel:", "at_most: must be a number, a list, or {file: , column: }"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            scenario(tmp_path, text.replace(old, new))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

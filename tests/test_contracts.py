@@ -14,6 +14,7 @@ import opfmodel as om
 import solvers
 from opfmodel import plugins
 from opfmodel.components import Component
+from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.testing import (
     check_back_end,
     check_device,
@@ -40,6 +41,16 @@ def names(sort: str) -> list[str]:
 OPTIONS: dict[tuple[str, str], dict[str, object]] = {
     ("objective", "economic"): {"reactive_weight": 0.1, "energy_weight": 0.2},
     ("objective", "emissions"): {"factors": {"coal": 0.9, "gas": 0.4}, "price": 30.0, "limit": 20.0},
+    ("objective", "linear-quadratic"): {
+        "Q": {"pg": 2.0, "e": [[1.0, 0.5], [0.5, 1.0]]},
+        "R": {"ps": 0.1},
+        "q": {"pg": [3.0, 4.0]},
+    },
+    ("objective", "setpoint-tracking"): {"setpoints": Setpoints({"coal.pg": [20, 30, 40], "tank.e": 10})},
+    ("objective", "stored-energy-value"): {"price": 30.0},
+    ("profile", "noise"): {"deviation": 0.1, "correlation": 0.5, "seed": 1},
+    ("profile", "power-factor"): {"value": 0.9, "loads": ["town"]},
+    ("profile", "shape"): {"file": "series.csv", "column": "wind", "loads": ["town"]},
     ("profile", "scale"): {"factor": 1.1, "loads": ["mill"]},
     ("profile", "step"): {"loads": ["town"], "first": 2, "last": 3, "add": 4.0},
     ("profile", "table"): {"file": "series.csv"},
@@ -91,7 +102,7 @@ def test_a_device_keeps_its_contract(name: str) -> None:
 @pytest.mark.parametrize("name", names("profile"))
 def test_a_profile_rule_keeps_its_contract(name: str, tmp_path: Path) -> None:
     (tmp_path / "series.csv").write_text(
-        "hour,town.p,coal.p_max\n" + "".join(f"{k},{k},9\n" for k in range(24))
+        "wind,town.p,coal.p_max\n" + "".join(f"{k + 1},{k},9\n" for k in range(24))
     )
     check_profile(plugins.make("profile", name, OPTIONS.get(("profile", name), {})), folder=tmp_path)
 

@@ -104,30 +104,31 @@ def _check_needs(rules: Contract, objective: Objective, network: Network) -> str
 
 def _check_values(rules: Contract, objective: Objective, plan: Plan, stages: int) -> None:
     """The formula on numbers: one finite value per stage, the same as in the program."""
-    stage = plan.stage
-    with rules.rule("reads no more than it needs, unless stage.has says that it is there"):
+    stage, rule = plan.stage, "reads no more than it needs, unless stage.has says that it is there"
+    with rules.rule(rule):
         try:
-            cost = objective.stage_cost(_Needed(stage, objective.needs))
+            least = _Needed(stage, objective.needs)
+            objective.stage_cost(least)
+            objective.terminal_cost(least)
         except QuantityError as error:
             found = f"{error.kind}.{error.quantity} is not in needs = {objective.needs}"
-            rules.require(False, "reads no more than it needs, unless stage.has says that it is there", found)
-        terminal = objective.terminal_cost(_Needed(stage, objective.needs))
+            rules.require(False, rule, found)
     with rules.rule("its cost can be evaluated on numbers"):
-        full = np.asarray(objective.stage_cost(stage), dtype=float)
-        end = objective.terminal_cost(stage)
-    rules.require(
-        full.shape == (stages,) or full.size == stages == full.shape[-1],
-        "its cost has one value per stage",
-        f"shape {full.shape} for {stages} stages",
-    )
-    rules.require(np.isfinite(full).all(), "its cost is finite", str(full))
-    rules.require(np.shape(cost) == full.shape, "its cost does not depend on what else is published")
-    rules.require((terminal is None) == (end is None), "its cost does not depend on what else is published")
-    value, compiled = plan.objective, plan.solution.objective
+        cost = objective.stage_cost(stage)
+        value = plan.objective
+    if cost is not None:
+        shape = np.shape(cost)
+        rules.require(
+            shape in ((stages,), (1, stages)),
+            "its cost has one value per stage, or is None",
+            f"shape {shape} for {stages} stages",
+        )
+        weighted = (0.5 * objective + objective).stage_cost(stage)
+        rules.require(np.allclose(weighted, 1.5 * cost, rtol=1e-12), "can be weighted and added")
+    compiled = plan.solution.objective
+    rules.require(np.isfinite(value), "its cost is finite", str(value))
     same = abs(value - compiled) <= 1e-9 * (1.0 + abs(value))
     rules.require(same, "costs the same on numbers and as a program", f"{value:.12g} is not {compiled:.12g}")
-    weighted = (0.5 * objective + objective).stage_cost(stage)
-    rules.require(np.allclose(weighted, 1.5 * full, rtol=1e-12), "can be weighted and added")
 
 
 def _check_convex(rules: Contract, objective: Objective, one: NumericStage, other: NumericStage) -> None:
