@@ -285,6 +285,13 @@ def test_options_of_a_plugin_are_checked_with_their_place(installed: Path, tmp_p
             om.load_scenario(tmp_path / "s.yaml")
 
 
+def test_the_page_shows_the_sources() -> None:
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    shown = re.findall(r"```(?:py|ini|yaml)\n(.*?)```", page, flags=re.DOTALL)
+    sources = [p for p in SOURCE.rglob("*") if p.suffix in (".py", ".cfg", ".yaml") and p.name != "__init__.py"]
+    assert sorted(shown) == sorted(path.read_text(encoding="utf-8") for path in sources)
+
+
 def test_the_examples_are_short() -> None:
     for path in (SOURCE / "example_plugins").glob("*.py"):
         assert len(path.read_text().splitlines()) < 80, path.name
