@@ -172,7 +172,8 @@ class MultiStage:
 
         Results have its price ``<name>_price``: how much the cost in $/h rises when its right-hand
         side rises by one unit. It is positive where a least value binds, negative where a
-        largest value does, zero where the constraint does not matter.
+        largest value does, zero where the constraint does not matter. A constraint of some of the
+        stages only has none.
 
         Parameters
         ----------
@@ -340,9 +341,15 @@ class MultiStage:
                 f"constraint {name!r}: there is a price '{name}_price' already; take another name"
             )
         rows = model.build.constrain(_rows_of(name), stated)
-        single = rows.index.shape[0] == 1
+        items, stages = rows.index.shape
+        if stages != self.horizon:  # of some stages only: no price by stage
+            if own.limited:
+                raise ModelError(
+                    f"constraint {name!r}: at_least and at_most are for all stages; write >= or <="
+                )
+            return
         model.price(
-            "" if single else f"{name}_item", f"{name}_price",
+            "" if items == 1 else f"{name}_item", f"{name}_price",
             lambda solution, _: -solution.dual(rows.name) / self.step,
             "$/h", f"rise of the cost when the right-hand side of {name!r} rises by one unit",
         )  # fmt: skip

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import opfmodel as om
 from opfmodel import plugins
+from opfmodel.constraints import Linear
 from opfmodel.errors import ConstraintError, ModelError, ScenarioError
 
 DEMAND = {"town.p": [90, 100, 80, 95], "town.q": [20, 25, 15, 20]}
@@ -122,6 +128,19 @@ def test_nonlinear_constraints() -> None:
     data = made.solve().data
     apparent = np.hypot(data["pg"], data["qg"]).sel(generator="coal").values
     assert_allclose(apparent, 70, atol=1e-2)
+
+
+def test_a_constraint_of_some_stages_only_has_no_price() -> None:
+    made = problem("dc")
+    made.constrain("last", lambda s: s.generator.pg[[1], -1:] >= 25)
+    made.constrain("steady", lambda s: s.generator.pg[:, 1:] - s.generator.pg[:, :-1] <= 7)
+    data = made.solve().data
+    assert_allclose(data["pg"].sel(generator="gas"), [11, 18, 25], atol=1e-4)  # 7 apart, up to 25
+    assert not {"last_price", "steady_price"} & set(data)
+    made = problem("dc")
+    made.constrain("last", lambda s: s.generator.pg[[1], -1:], at_least=25)
+    with pytest.raises(ModelError, match="'last': at_least and at_most are for all stages; write >= or <="):
+        made.solve()
 
 
 @pytest.mark.parametrize(
@@ -261,9 +280,46 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_linear_constraint_in_python() -> None:
-    from opfmodel.constraints import Linear
+def test_the_constraints_of_the_page_are_read(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^    constraints:\n(?:      .*\n)+", page, flags=re.MULTILINE)
+    (tmp_path / "contract.csv").write_text("tie\n50\n50\n50\n50\n")
+    text = SCENARIO.partition("constraints:")[0] + textwrap.dedent(block)
+    constraints = scenario(tmp_path, text).constraints
+    assert set(constraints) == {"reserve", "export", "mix", "contract"}
+    assert constraints["contract"].at_least == [50.0] * 4
 
+
+@given(
+    factors=st.dictionaries(
+        st.sampled_from(["generator.pg", "gas*.pg", "coal.pg", "tie.pf", "load.p", "*.pt", "coal.p_max"]),
+        st.floats(-1e3, 1e3),
+        min_size=1,
+    )
+)
+@settings(max_examples=25)
+def test_a_linear_total_is_the_sum_of_its_terms(factors: dict[str, float]) -> None:
+    grid = two_units()
+    grid.add("gas2", om.Generator("south", p=(0, 9), cost=om.Polynomial(0, 5, 0)))
+    made = problem("dc", grid=grid)
+    made.constrain("own", Linear({"coal.pg": 0.0} | factors), at_least=-1e9)
+    plan = made.solve()
+    pg = plan.data["pg"].transpose("generator", "time")
+    values = {
+        "generator.pg": pg.sum("generator").values,
+        "gas*.pg": pg.sel(generator=["gas", "gas2"]).sum("generator").values,
+        "coal.pg": pg.sel(generator="coal").values,
+        "tie.pf": plan.data["pf"].values[:, 0],
+        "load.p": np.array(DEMAND["town.p"][:3]),
+        "*.pt": plan.data["pt"].values[:, 0],
+        "coal.p_max": 120.0,
+    }
+    expected = sum(factor * values[key] for key, factor in factors.items()) + np.zeros(3)
+    rows = plan.solution.program.rows["constraint own"].read(plan.solution.rows)
+    assert_allclose(rows[0], expected, atol=1e-6 * (1 + np.abs(expected).max()))
+
+
+def test_a_linear_constraint_in_python() -> None:
     made = problem("dc")
     made.constrain("export", Linear({"tie.pf": 0.5, "tie.pt": -0.5}), at_most=70)
     assert_allclose(made.solve().data["pf"].values[:, 0], 70, atol=1e-4)

@@ -285,10 +285,18 @@ def test_options_of_a_plugin_are_checked_with_their_place(installed: Path, tmp_p
             om.load_scenario(tmp_path / "s.yaml")
 
 
+def test_single_stages_are_refused_where_a_fleet_couples_them(installed: Path) -> None:
+    scenario = om.load_scenario(SUBURB)
+    with pytest.raises(ModelError, match="fleet carries its level from stage to stage"):
+        scenario.single_stages(6)
+
+
 def test_the_page_shows_the_sources() -> None:
     page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
     shown = re.findall(r"```(?:py|ini|yaml)\n(.*?)```", page, flags=re.DOTALL)
-    sources = [p for p in SOURCE.rglob("*") if p.suffix in (".py", ".cfg", ".yaml") and p.name != "__init__.py"]
+    sources = [
+        p for p in SOURCE.rglob("*") if p.suffix in (".py", ".cfg", ".yaml") and p.name != "__init__.py"
+    ]
     assert sorted(shown) == sorted(path.read_text(encoding="utf-8") for path in sources)
 
 
