@@ -238,6 +238,14 @@ class Furnace(Component):
     in_service: bool = flag(True)
 
 
+@dataclass
+class Ladle(Component):
+    """Planted: can be changed after it was checked."""
+
+    kind: ClassVar[str] = "ladle"
+    plural: ClassVar[str] = "ladles"
+
+
 class FurnaceDevice(Device):
     """Demand that may be lowered."""
 
@@ -281,6 +289,7 @@ def grumpy(self, model, table) -> None:
     [
         (furnace(__doc__=None), "is documented by a first line"),
         (furnace(component=int), "its component is a dataclass and a Component"),
+        (furnace(component=Ladle), "its component is frozen': Ladle"),
         (furnace(component=om.Load), "the example is one of its components"),
         (furnace(declare=idle), "feeds power into the balance"),
         (furnace(declare=moody), "declares the same quantities under every formulation"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import is_dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -78,6 +79,8 @@ def _check_component(rules: Contract, device: Device, example: Component) -> Non
     component = device.component
     ready = isinstance(component, type) and issubclass(component, Component) and is_dataclass(component)
     rules.require(ready, "its component is a dataclass and a Component", repr(component))
+    frozen = getattr(component, "__dataclass_params__").frozen  # noqa: B009 - no stub has it
+    rules.require(frozen, "its component is frozen", component.__name__)
     named = all(isinstance(getattr(component, name, None), str) for name in ("kind", "plural"))
     rules.require(named, "its component has the names kind and plural")
     taken = [
@@ -163,7 +166,7 @@ class _Watching(Model):
 
 def _check_cost(rules: Contract, device: Device, one: NumericStage, other: NumericStage, stages: int) -> None:
     """The cost of the device alone: finite, one value per stage, below its chord."""
-    middle = NumericStage(one.network, one.step, {}, [])
+    middle = copy(one)
     middle.values = {key: 0.5 * (one.values[key] + other.values[key]) for key in one.values}
     with rules.rule("its cost can be evaluated on numbers"):
         costs = [device.cost(stage) for stage in (one, other, middle)]

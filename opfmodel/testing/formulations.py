@@ -85,7 +85,7 @@ def _check_plan(
     worst = report.worst
     found = "" if worst is None else f"{worst.family} at {worst.component}: {worst.value:.1e} p.u."
     rules.require(report.max_violation <= _VIOLATION, f"keeps all limits and balances of {what}", found)
-    balanced = not any(what.startswith("balance") for what in report.unchecked)
+    balanced = not any(left_out.startswith("balance") for left_out in report.unchecked)
     rules.require(balanced, "publishes the flows of all branches, or none", "; ".join(report.unchecked))
     if grid.name == "feeder":
         cones = plan.solution.program.cones

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from itertools import pairwise
 from typing import Any
 
@@ -135,8 +136,7 @@ def _check_convex(rules: Contract, objective: Objective, one: NumericStage, othe
     """Between two points the cost lies below its chord."""
     if not objective.convex:
         return
-    middle = NumericStage(one.network, one.step, {}, [])
-    middle.__dict__.update(one.__dict__)
+    middle = copy(one)
     middle.values = {key: 0.5 * (one.values[key] + other.values[key]) for key in one.values}
     for cost in (objective.stage_cost, objective.terminal_cost):
         ends = [cost(stage) for stage in (one, other)]
