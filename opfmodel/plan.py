@@ -607,7 +607,7 @@ def _publishing(quantities: list[str]) -> list[str]:
     able = []
     for name, plugin in plugins.plugins("formulation").items():
         try:
-            if set(quantities) <= set(plugin.load().publishes):
+            if set(quantities) <= set(getattr(plugin.load(), "publishes", ())):
                 able.append(name)
         except PluginError:
             continue  # "opfmodel list" reports it

@@ -29,6 +29,9 @@ _BASES = {
     "profile": "opfmodel.profiles.base:ProfileRule",
 }
 
+# Where a class says its own name, which must be that of its entry point: results and networks use it.
+_NAMES = {"formulation": "name", "device": "component.kind"}
+
 
 @dataclass(frozen=True)
 class Plugin:
@@ -51,7 +54,7 @@ class Plugin:
         Raises
         ------
         PluginError
-            Its module does not import, or what it names is not a class of this sort.
+            Its module does not import, or what it names is not a class of this sort and name.
         """
         where = f"{self.sort} {self.name!r} of {self.origin} cannot be loaded ({self.point.value})"
         try:
@@ -61,6 +64,12 @@ class Plugin:
         base: type[Any] = pkgutil.resolve_name(_BASES[self.sort])
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
             raise PluginError(f"{where}: {loaded!r} is not a subclass of {base.__module__}.{base.__name__}")
+        if self.sort in _NAMES:
+            named: Any = loaded
+            for part in _NAMES[self.sort].split("."):
+                named = getattr(named, part, None)
+            if named != self.name:
+                raise PluginError(f"{where}: its {_NAMES[self.sort]} is {named!r}, and must be {self.name!r}")
         return loaded
 
 

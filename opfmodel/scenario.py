@@ -478,9 +478,14 @@ def component_kinds() -> tuple[list[type[Component]], list[str]]:
         if name not in known:
             try:
                 component = plugin.load().component
-                known[component.kind] = component
             except PluginError as error:
                 broken.append(str(error))
+                continue
+            taken = [kind.plural for kind in known.values()]
+            if isinstance(getattr(component, "plural", None), str) and component.plural not in taken:
+                known[component.kind] = component
+            else:
+                broken.append(f"device {name!r} of {plugin.origin}: its component needs a plural of its own")
     return list(known.values()), broken
 
 

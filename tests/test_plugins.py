@@ -47,6 +47,12 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (target / "strange.py").write_text(
         "number = 3\n"
         "class Stranger: 'No base class.'\n"
+        "from opfmodel.formulations import Formulation\n"
+        "from opfmodel.model import Device\n"
+        "class Alias(Formulation):\n    name = 'ac'\n"
+        "class Bodiless(Device): 'No component.'\n"
+        "class Thing:\n    kind, plural = 'impostor', 'generators'\n"
+        "class Impostor(Device):\n    component = Thing\n"
         "class Shy:\n    name = 'shy'\n    accepts = None\n    solvers = prepare = len\n"
         "class Sick:\n    name = 'sick'\n    prepare = len\n"
         "    def __init__(self):\n        import solvers\n        self.accepts = solvers.Kind.LINEAR\n"
@@ -54,8 +60,17 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     points = {
         "opfmodel.objectives": {"number": "strange:number", "economic": "strange:Stranger"},
-        "opfmodel.formulations": {"exits": "leaves:Formulation", "missing": "strange:Missing"},
-        "opfmodel.devices": {"reactor": "fails:Device", "stranger": "strange:Stranger"},
+        "opfmodel.formulations": {
+            "exits": "leaves:Formulation",
+            "missing": "strange:Missing",
+            "alias": "strange:Alias",
+        },
+        "opfmodel.devices": {
+            "reactor": "fails:Device",
+            "stranger": "strange:Stranger",
+            "bodiless": "strange:Bodiless",
+            "impostor": "strange:Impostor",
+        },
         "opfmodel.profiles": {"odd": "not a reference"},
         "solvers.backends": {"shy": "strange:Shy", "sick": "strange:Sick", "gone": "leaves:BackEnd"},
     }
@@ -101,6 +116,8 @@ def test_nothing_is_left_behind(installed: Path) -> None:
         ("objective", "economic", "out of reach behind the objective of the same name of opfmodel"),
         ("formulation", "exits", r"formulation 'exits' .* \(leaves:Formulation\): SystemExit: bye"),
         ("formulation", "missing", "AttributeError: module 'strange' has no attribute 'Missing'"),
+        ("formulation", "alias", "its name is 'ac', and must be 'alias'"),
+        ("device", "bodiless", "its component.kind is None, and must be 'bodiless'"),
         ("device", "reactor", "ModuleNotFoundError: No module named 'no_such_library'"),
         ("device", "stranger", "is not a subclass of opfmodel.model.Device"),
         ("profile", "odd", "cannot be loaded"),
@@ -121,7 +138,7 @@ def test_broken_plugins_stop_nothing(broken: Path, tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(MINIMAL)
     with visible(broken):
         assert om.load_scenario(tmp_path / "s.yaml").simulate().status == "done"
-        assert sum(entry.broken for entry in catalogue()) == 10
+        assert sum(entry.broken for entry in catalogue()) == 12
         made = om.MultiStage(om.load_scenario(tmp_path / "s.yaml").network, formulation="dc")
         made.constrain("low", lambda s: s.bus.vm >= 1)
         with pytest.raises(ModelError, match=r"formulations that do: ac, ac-rectangular$"):
@@ -142,6 +159,10 @@ def test_using_a_broken_plugin_says_what_is_wrong(broken: Path, tmp_path: Path) 
         path.write_text(MINIMAL + "  reactors: {r: {bus: a}}\n")
         with pytest.raises(
             ScenarioError, match=r":4:3: network.reactors: unknown key.*device 'reactor' of broken"
+        ):
+            om.load_scenario(path)
+        with pytest.raises(
+            ScenarioError, match=r"device 'impostor' of broken-plugins: .* needs a plural of its own"
         ):
             om.load_scenario(path)
         path.write_text(MINIMAL + "controller: {solver: sick}\n")
