@@ -240,7 +240,7 @@ def _check_optimum(rules: Contract, problem: SmallProblem, solution: Solution, t
             )
     residual = max(solution.primal_residual, solution.dual_residual)
     rules.require(residual <= 10 * tolerance, f"certifies '{name}'", f"the residual is {residual:.1e}")
-    effort = solution.iterations >= 0 and solution.seconds >= 0.0
+    effort = (solution.iterations is None or solution.iterations >= 0) and solution.seconds >= 0.0
     rules.require(effort, "reports its effort", f"{solution.iterations} iterations, {solution.seconds} s")
 
 
