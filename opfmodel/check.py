@@ -3,7 +3,8 @@
 This module shares no equations with the rest of the package: it works on the declared components
 and on trajectories in physical units, with complex arithmetic, and knows neither programs nor
 solvers. What it finds is evidence about them. A trajectory is held against the physics of the
-formulation that it says it was made with.
+formulation that it says it was made with. Of formulations and devices of other packages it
+verifies what needs no knowledge of them, and says what it left out.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import (
+    BUILT_IN,
     Branch,
     Bus,
+    Component,
     Generator,
     Load,
     Network,
@@ -68,7 +71,7 @@ class Report:
     cost
         Operating cost over all stages, recomputed, in $.
     unchecked
-        What could not be verified, because the formulation is not one of this package.
+        What could not be verified, because a formulation or device is not one of this package.
     simultaneous
         Largest power in p.u. by which a storage with losses charges and discharges at once; it
         is no violation but says that the storage model was not tight.
@@ -94,7 +97,8 @@ class Report:
             f"{v.family:<22} {v.value:10.3e}  at {v.component}, time {v.time:g}"
             for v in sorted(self.violations.values(), key=lambda v: -v.value)
         ]
-        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} $"])
+        left_out = [f"{'not checked':<22} {what}" for what in self.unchecked]
+        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} $", *left_out])
 
 
 def check(
@@ -153,17 +157,17 @@ class _Checker:
         self.step = float(data.attrs.get("step_hours", 1.0))
         self.buses = {n: b for n, b in network.of(Bus).items() if n in set(data["bus"].values)}
         self.reactive = "qg" in data
+        self.formulation = str(data.attrs.get("formulation", "ac"))
+        self.others = self.other_kinds()
         self.report = Report()
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
         """Check everything."""
         self.check_generators(previous_pg)
         self.check_storages()
-        flows = _FLOWS.get(str(self.data.attrs.get("formulation", "ac")))
-        if flows is None:
-            self.report.unchecked = ("network",)
-        else:
-            self.check_network(flows(self))
+        for kind in self.others:
+            self.leave_out(f"limits and cost of the {kind.plural}")
+        self.check_network(_FLOWS.get(self.formulation, _reported_flows)(self))
         self.report.cost = float(self.cost_rate().sum() * self.step)
         return self.report
 
@@ -202,6 +206,16 @@ class _Checker:
         """Check ``low <= values <= high``."""
         self.note(family, component, np.maximum(low - values, values - high), unit)
 
+    def leave_out(self, what: str) -> None:
+        """Say that something was not verified."""
+        if what not in self.report.unchecked:
+            self.report.unchecked = (*self.report.unchecked, what)
+
+    def other_kinds(self) -> list[type[Component]]:
+        """Kinds of components in service that belong to other packages."""
+        at_work = [self.network[name] for name in self.network if self.network[name].in_service]
+        return [k for k in dict.fromkeys(type(c) for c in at_work) if not issubclass(k, BUILT_IN)]
+
     def bounds(self, component: str, key: str, pair: tuple[float, float]) -> tuple[Array, Array]:
         """Minimum and maximum of a span field over the stages."""
         return self.declared(component, f"{key}_min", pair[0]), self.declared(
@@ -220,7 +234,7 @@ class _Checker:
         """Voltages, flows as reported, ratings, angle differences and the balance of every bus."""
         for name, bus in self.buses.items():
             low, high = self.bounds(name, "vm", bus.vm)
-            if self.reactive:
+            if self.reactive and {"vm", "w"} & set(self.data):
                 self.inside("voltage", name, np.sqrt(self.voltage_squared(name)), low, high, 1.0)
         for name, (at_from, at_to) in flows.items():
             branch = self.network[name]
@@ -233,10 +247,32 @@ class _Checker:
                 rating = self.declared(name, "rating", branch.rating)
                 self.note("branch rating", name, np.abs(end) - rating / self.base, 1.0)
             least, most = branch.angle
-            if least > -360 or most < 360:
+            if (least > -360 or most < 360) and self.angles_known:
                 bounds = (np.full(len(self.times), least), np.full(len(self.times), most))
                 self.inside("angle difference", name, self.angle(name, branch), *bounds, math.degrees(1.0))
-        self.check_balance(flows)
+        missing = self.unreported()
+        for plural in missing:
+            self.leave_out(f"balance of the buses: the results do not say what the {plural} draw")
+        if not missing:
+            self.check_balance(flows)
+
+    @property
+    def angles_known(self) -> bool:
+        """Whether the data say what the angle across a branch is."""
+        return "va" in self.data or {"wr", "wi"} <= set(self.data)
+
+    def unreported(self) -> list[str]:
+        """What draws power that the data do not have."""
+        missing = [k.plural for k in self.others if f"{k.kind}_p" not in self.data]
+        if self.formulation not in _FLOWS and not self.flows_reported:
+            missing.append("branches")
+        return missing
+
+    @property
+    def flows_reported(self) -> bool:
+        """Whether the data have the power at both ends of the branches."""
+        active = {"pf", "pt"} <= set(self.data)
+        return active and (not self.reactive or {"qf", "qt"} <= set(self.data))
 
     def angle(self, name: str, branch: Branch) -> Array:
         """Angle across a branch, degrees."""
@@ -255,14 +291,18 @@ class _Checker:
             if load.in_service and load.bus in total:
                 p, q = self.declared(name, "p", load.p), self.declared(name, "q", load.q)
                 total[load.bus] -= (p + 1j * q) / self.base
+        for kind in self.others:
+            for bus in total:
+                reactive = f"{kind.kind}_q" if f"{kind.kind}_q" in self.data else None
+                total[bus] += self.power(f"{kind.kind}_p", reactive, bus)
         for shunt in self.network.of(Shunt).values():
             if shunt.in_service and shunt.bus in total:
                 total[shunt.bus] -= complex(shunt.g, -shunt.b) / self.base * self.voltage_squared(shunt.bus)
         return total
 
-    def power(self, active: str, reactive: str, name: str) -> Any:
+    def power(self, active: str, reactive: str | None, name: str) -> Any:
         """Complex power of a device, p.u."""
-        q = self.value(reactive, name) if self.reactive else 0.0
+        q = self.value(reactive, name) if self.reactive and reactive is not None else 0.0
         return (self.value(active, name) + 1j * q) / self.base
 
     def check_balance(self, flows: Flows) -> None:
@@ -430,6 +470,22 @@ def _dc_losses_flows(c: _Checker) -> Flows:
 
 def _no_flows(_: _Checker) -> Flows:
     return {}
+
+
+def _reported_flows(c: _Checker) -> Flows:
+    """Of a formulation that is not known here: the flows that it reports, if it does."""
+    c.leave_out(f"branch equations of the formulation {c.formulation!r}")
+    limits = [branch.angle for branch in c.of(Branch, "branch").values()]
+    if not c.angles_known and any(least > -360 or most < 360 for least, most in limits):
+        c.leave_out("angle differences")
+    if c.reactive and not {"vm", "w"} & set(c.data):
+        c.leave_out("voltages")
+    flows = {}
+    if c.flows_reported:
+        for name in c.of(Branch, "branch"):
+            ends = [c.power(p, q, name) for p, q in (("pf", "qf"), ("pt", "qt"))]
+            flows[name] = (ends[0], ends[1])
+    return flows
 
 
 _FLOWS: dict[str, Callable[[_Checker], Flows]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -121,6 +121,7 @@ def solve(
         "solve_seconds": plan.solution.seconds,
         "iterations": plan.solution.iterations,
         "max_violation": report.max_violation,
+        "unchecked": list(report.unchecked),
         "formulation": problem.formulation.name,
         "solver": plan.solution.solver,
         "variables": plan.solution.program.n_variables,
@@ -142,6 +143,7 @@ def solve(
                 "solver": f"{plan.solution.solver}, {_count(plan.solution.iterations, 'iterations')}",
                 "time": f"{problem.build_seconds:.3f} s build, {plan.solution.seconds:.3f} s solve",
                 "max violation": f"{report.max_violation:.1e} p.u.{place}",
+                **_unchecked(report.unchecked),
             }
         )
     return 0 if plan.optimal else 1
@@ -165,11 +167,17 @@ def run(
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
     with _solver_output(verbose):
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose, verbose=verbose)
-    summary: dict[str, Any] = {"scenario": loaded.name, **done.summary(), "max_violation": None}
+    summary: dict[str, Any] = {
+        "scenario": loaded.name,
+        **done.summary(),
+        "max_violation": None,
+        "unchecked": [],
+    }
     if done.steps:
         data = done.data
         series = {f"{name}.{key}": values for (name, key), values in loaded.profiles.series.items()}
-        summary["max_violation"] = check(loaded.network, data, series).max_violation
+        report = check(loaded.network, data, series)
+        summary |= {"max_violation": report.max_violation, "unchecked": list(report.unchecked)}
         results.save(data, summary, folder)
         if figures:
             plot.save_figures(data, folder, figures=["system"])
@@ -385,6 +393,12 @@ def _count(iterations: float | None, what: str) -> str:
     return f"no {what} told" if iterations is None else f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
 
 
+def _unchecked(what: Iterable[str]) -> dict[str, str]:
+    """The line that says what the independent check could not verify, if there is anything."""
+    said = "; ".join(what)
+    return {"not checked": said} if said else {}
+
+
 def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
     done = summary["status"] == "done"
     violation = summary["max_violation"]
@@ -397,6 +411,7 @@ def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
             "iterations": _count(summary["iterations_mean"], "mean"),
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            **_unchecked(summary["unchecked"]),
             "results": f"{folder}" if summary["steps"] else "none",
         }
     )

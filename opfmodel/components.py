@@ -28,6 +28,7 @@ import numpy as np
 from opfmodel.errors import ComponentError, NetworkError, nearest
 
 __all__ = [
+    "BUILT_IN",
     "Branch",
     "Bus",
     "Component",
@@ -40,6 +41,7 @@ __all__ = [
     "Shunt",
     "Storage",
     "at_bus",
+    "flag",
     "number",
     "span",
 ]
@@ -101,7 +103,8 @@ def at_bus() -> Any:
     return field(metadata={"form": "bus", "unit": ""})
 
 
-def _flag(default: bool) -> Any:
+def flag(default: bool) -> Any:
+    """Declare a field that is true or false."""
     return field(default=default, metadata={"form": "flag", "unit": ""})
 
 
@@ -354,8 +357,8 @@ class Bus(Component):
 
     vm: tuple[float, float] = span("p.u.", (0.9, 1.1), at_least=0.0)
     base_kv: float | None = number("kV", None, above=0.0, optional=True)
-    reference: bool = _flag(False)
-    in_service: bool = _flag(True)
+    reference: bool = flag(False)
+    in_service: bool = flag(True)
 
 
 @dataclass(frozen=True)
@@ -397,7 +400,7 @@ class Branch(Component):
     b_from: float = number("p.u.", 0.0)
     g_to: float = number("p.u.", 0.0)
     b_to: float = number("p.u.", 0.0)
-    in_service: bool = _flag(True)
+    in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks its rule or the impedance is zero."""
@@ -434,7 +437,7 @@ class Generator(Component):
     q: tuple[float, float] = span("MVAr", (-INF, INF))
     ramp: float | None = number("MW/h", None, at_least=0.0, optional=True, finite=False)
     cost: Cost = field(default=Polynomial(), metadata={"form": "cost", "unit": ""})
-    in_service: bool = _flag(True)
+    in_service: bool = flag(True)
 
 
 @dataclass(frozen=True)
@@ -479,8 +482,8 @@ class Storage(Component):
     discharge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0)
     standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
-    exclusive: bool = _flag(False)
-    in_service: bool = _flag(True)
+    exclusive: bool = flag(False)
+    in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks its rule or the energies are out of order."""
@@ -522,7 +525,7 @@ class Load(Component):
     bus: str = at_bus()
     p: float = number("MW")
     q: float = number("MVAr", 0.0)
-    in_service: bool = _flag(True)
+    in_service: bool = flag(True)
 
 
 @dataclass(frozen=True)
@@ -543,7 +546,11 @@ class Shunt(Component):
     bus: str = at_bus()
     g: float = number("MW", 0.0)
     b: float = number("MVAr", 0.0)
-    in_service: bool = _flag(True)
+    in_service: bool = flag(True)
+
+
+BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+"""The kinds of this package; devices of others bring their own."""
 
 
 # The network ------------------------------------------------------------------------------------

@@ -9,11 +9,13 @@ __all__ = [
     "CaseError",
     "CaseWarning",
     "ComponentError",
+    "ConstraintError",
     "ModelError",
     "NetworkError",
     "OpfmodelError",
     "PluginError",
     "ProfileError",
+    "QuantityError",
     "ResultError",
     "ScenarioError",
     "nearest",
@@ -59,6 +61,35 @@ class ProfileError(OpfmodelError):
 
 class ModelError(OpfmodelError):
     """A formulation, objective, device or horizon that do not fit together."""
+
+
+class QuantityError(ModelError):
+    """A quantity that is not there: unknown, or not published by the formulation.
+
+    Attributes
+    ----------
+    kind, quantity
+        Kind of component and name of the quantity.
+    """
+
+    def __init__(self, kind: str, quantity: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.quantity = quantity
+
+
+class ConstraintError(ModelError):
+    """A constraint of a scenario file is not well formed, or names what is not there.
+
+    Attributes
+    ----------
+    key
+        Keys below the constraint's name that lead to the mistake.
+    """
+
+    def __init__(self, message: str, *key: str) -> None:
+        super().__init__(message)
+        self.key = key
 
 
 class PluginError(OpfmodelError):

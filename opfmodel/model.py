@@ -14,8 +14,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Component
-from opfmodel.errors import ModelError, nearest
+from opfmodel.components import BUILT_IN, Component
+from opfmodel.errors import ModelError, QuantityError, nearest
 from opfmodel.network import PerUnitNetwork, Table
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum
 
@@ -23,6 +23,7 @@ __all__ = [
     "Bound",
     "BoundSource",
     "Device",
+    "Injection",
     "Model",
     "NumericStage",
     "Price",
@@ -54,7 +55,8 @@ class Quantities:
             raise AttributeError(name)
         value = self._get(name)
         if value is None:
-            raise ModelError(f"{self._kind} has no quantity {name!r} here; {nearest(name, self._names())}")
+            message = f"{self._kind} has no quantity {name!r} here; {nearest(name, self._names())}"
+            raise QuantityError(self._kind, name, message)
         return value
 
     def __contains__(self, name: str) -> bool:
@@ -150,6 +152,30 @@ class Price:
 
 
 @dataclass(frozen=True)
+class Injection:
+    """Power that one kind of device feeds into the buses; several of a kind add up.
+
+    Attributes
+    ----------
+    output
+        Name of the program's output with the values, one row per entry of ``bus``.
+    """
+
+    name: str
+    unit: str
+    description: str
+    bus: Index
+    output: str
+
+    def at_buses(self, solution: Solution, network: PerUnitNetwork) -> Array:
+        """The power at each bus, ``(buses, stages)`` in per unit."""
+        values = solution.value(self.output)
+        total = np.zeros((len(network.bus), values.shape[1]))
+        np.add.at(total, self.bus, values)
+        return total
+
+
+@dataclass(frozen=True)
 class State:
     """A quantity that one problem of a receding horizon hands to the next.
 
@@ -224,7 +250,9 @@ class Model:
         self.states: dict[str, State] = {}
         self.bounds: dict[str, BoundSource] = {}
         self.parameters: dict[str, tuple[str, str]] = {}
+        self.injections: list[Injection] = []
         self.devices: list[Device] = []
+        self._declaring: str | None = None
         self._series = set(series)
         self._fields: dict[tuple[str, str], Expression] = {}
         self._quantities: dict[str, Quantities] = {}
@@ -235,6 +263,18 @@ class Model:
         if reactive:
             about = "cost of one more MVAr of demand"
             self.price("bus", "lmp_q", self._balance_price("q_balance"), "$/MVArh", about)
+
+    def connect(self, device: Device) -> None:
+        """Let a device declare itself.
+
+        What devices of other packages feed into the buses is kept in :attr:`injections`, so that
+        results have it and a balance can be verified without knowing them.
+        """
+        kind = device.component.kind
+        self.devices.append(device)
+        self._declaring = None if device.component in BUILT_IN else kind
+        device.declare(self, self.network.tables[kind])
+        self._declaring = None
 
     # Variables ---------------------------------------------------------------------------
 
@@ -385,8 +425,21 @@ class Model:
         rows = self.zones[bus]
         if p is not None and p.items:
             self.build.add(p, into=self.balance_p[rows])
+            self._keep(bus, p, "p", "MW", "active")
         if q is not None and q.items and self.balance_q is not None:
             self.build.add(q, into=self.balance_q[rows])
+            self._keep(bus, q, "q", "MVAr", "reactive")
+
+    def _keep(self, bus: Index, power: Expression, name: str, unit: str, sort: str) -> None:
+        """Remember what a device of another package injects."""
+        kind = self._declaring
+        if kind is None:
+            return
+        output = f"injection {len(self.injections) + 1}"
+        spread = power + np.zeros((len(bus), self.stages))
+        self.build.output(output, spread)
+        about = f"{sort} power that the {self.network.tables[kind].kind.plural} feed into the bus"
+        self.injections.append(Injection(f"{kind}_{name}", unit, about, bus, output))
 
     def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity, so that objectives and constraints can use it and plans report it."""

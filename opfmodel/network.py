@@ -87,6 +87,8 @@ class PerUnitNetwork:
         Position of the reference bus of each island.
     notes
         What was left out or chosen, in words.
+    left_out
+        Names of the components that are out of service or at a bus that is.
     """
 
     name: str
@@ -95,6 +97,7 @@ class PerUnitNetwork:
     island: Index
     reference: Index
     notes: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
 
     @property
     def bus(self) -> Table:
@@ -160,16 +163,6 @@ class PerUnitNetwork:
         return replace(self, tables=tables)
 
 
-_BUILT_IN: tuple[type[Component], ...] = (
-    components.Bus,
-    components.Branch,
-    components.Generator,
-    components.Storage,
-    components.Load,
-    components.Shunt,
-)
-
-
 def per_unit(network: Network) -> PerUnitNetwork:
     """Lay out a network as per-unit arrays.
 
@@ -205,7 +198,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
     names = [b for b in buses if b not in lonely]
     if not names:
         raise NetworkError(f"network {network.name!r} has no bus in service")
-    kinds = dict.fromkeys((*_BUILT_IN, *network.kinds()))
+    kinds = dict.fromkeys((*components.BUILT_IN, *network.kinds()))
     position = {b: i for i, b in enumerate(names)}
     tables = {
         kind.kind: _table(
@@ -227,7 +220,8 @@ def per_unit(network: Network) -> PerUnitNetwork:
         reference[number] = position[chosen]
         if note:
             notes.append(note)
-    return PerUnitNetwork(network.name, network.base_mva, tables, island, reference, tuple(notes))
+    left_out = tuple(name for name in network if name not in kept)
+    return PerUnitNetwork(network.name, network.base_mva, tables, island, reference, tuple(notes), left_out)
 
 
 def _check_buses(network: Network) -> None:

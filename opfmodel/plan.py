@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from opfmodel import plugins
 from opfmodel.components import Network
-from opfmodel.errors import ModelError
+from opfmodel.errors import ModelError, PluginError, QuantityError, nearest
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model, NumericStage, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
@@ -21,13 +21,25 @@ from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.profiles.series import Profiles
 from opfmodel.units import scale
-from solvers import Instance, Program, Session, Solution, SolutionStatus, Start, prepare, total
-from solvers.expression import Constraint
+from solvers import (
+    Constraint,
+    Expression,
+    Instance,
+    Program,
+    Session,
+    Solution,
+    SolutionStatus,
+    SolverError,
+    Start,
+    Sum,
+    prepare,
+    total,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["End", "MultiStage", "Plan", "make_devices", "make_formulation", "status_word"]
+__all__ = ["End", "MultiStage", "PhysicalStage", "Plan", "make_devices", "make_formulation", "status_word"]
 
 Array = npt.NDArray[np.float64]
 Initial = Mapping[str, "npt.ArrayLike | None"]
@@ -83,6 +95,8 @@ class MultiStage:
     regularisation
         Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed
         and is not part of any reported cost. By default the objective's own.
+    devices
+        Devices for kinds of components that no plugin provides, or in place of a plugin's.
     solver, options
         Back end and its options; see :func:`solvers.prepare`.
     verbose
@@ -112,6 +126,7 @@ class MultiStage:
         generator_delay: int = 0,
         end: End | None = None,
         regularisation: float | None = None,
+        devices: Iterable[Device] = (),
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
@@ -133,51 +148,73 @@ class MultiStage:
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = self.objective.regularisation if regularisation is None else regularisation
+        self.devices = make_devices(self.arrays, devices)
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
-        self._constraints: dict[str, Callable[[Stage], Constraint]] = {}
+        self._constraints: dict[str, _Own] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was left out of the network or chosen for it."""
         return self.arrays.notes
 
-    def constrain(self, name: str, constraint: Callable[[Stage], Constraint]) -> None:
+    def constrain(
+        self,
+        name: str,
+        constraint: Callable[[Stage], Any],
+        *,
+        at_least: npt.ArrayLike | None = None,
+        at_most: npt.ArrayLike | None = None,
+    ) -> None:
         """State a constraint of one's own, for every formulation that publishes what it uses.
+
+        Results have its price ``<name>_price``: how much the cost in $/h rises when its right-hand
+        side rises by one unit. It is positive where a least value binds, negative where a
+        largest value does, zero where the constraint does not matter. A constraint of some of the
+        stages only has none.
 
         Parameters
         ----------
         name
-            Its name, for messages and multipliers.
+            Its name, for messages and prices.
         constraint
             A function of the stage, whose quantities are in physical units here. It returns a
-            comparison, entry by entry or of totals.
+            comparison, entry by entry or of totals; or a quantity or total, which the limits
+            below are then for.
+        at_least, at_most
+            Limits in physical units: a number, or one value per time step, which moves with the
+            horizon as profiles do.
 
         Examples
         --------
         A reserve of 100 MW in every stage::
 
             plan.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 100)
+
+        and one that differs from step to step::
+
+            plan.constrain(
+                "reserve",
+                lambda s: om.total(s.generator.p_max - s.generator.pg),
+                at_least=[100, 120, 140, 100],
+            )
         """
         if "_compiled" in self.__dict__:
             raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
         if name in self._constraints:
             raise ModelError(f"two constraints are named {name!r}")
-        self._constraints[name] = constraint
-
-    @cached_property
-    def devices(self) -> list[Device]:
-        """The devices of the network."""
-        return make_devices(self.arrays)
+        limits = _limit(name, "at_least", at_least, -np.inf), _limit(name, "at_most", at_most, np.inf)
+        self._constraints[name] = _Own(constraint, *limits)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each published quantity."""
-        model = self._compiled[0]
+        model = self.model
         named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
-        return {name: (p.unit, p.description) for name, p in named.items()}
+        injections = {i.name: (i.unit, i.description) for i in model.injections}
+        return {name: (p.unit, p.description) for name, p in named.items()} | injections
 
     def window(self, start: int, stages: int) -> PerUnitNetwork:
         """The network with the time series of the steps from ``start`` on.
@@ -207,13 +244,13 @@ class MultiStage:
 
     # Compiling ---------------------------------------------------------------------------
 
-    def compile(self) -> Program:
-        """The program; compiled at the first call, and by :meth:`solve` if need be."""
-        return self._compiled[1]
+    @property
+    def model(self) -> Model:
+        """What formulation and devices declared; compiled if need be."""
+        return self._compiled[0]
 
-    @cached_property
-    def _compiled(self) -> tuple[Model, Program, Session]:
-        began = clock.perf_counter()
+    def declare(self) -> Model:
+        """What formulation and devices declare, without objective and constraints; not kept."""
         own = {key: values[:, 0] for key, values in self._objective_series.items()}
         model = Model(
             self.arrays.with_series(own),
@@ -224,13 +261,22 @@ class MultiStage:
             series={*self.profiles.fields(self.arrays), *own},
         )
         self.formulation.declare(model)
-        model.devices = self.devices
-        for device in model.devices:
-            device.declare(model, self.arrays.tables[device.component.kind])
+        for device in self.devices:
+            model.connect(device)
+        return model
+
+    def compile(self) -> Program:
+        """The program; compiled at the first call, and by :meth:`solve` if need be."""
+        return self._compiled[1]
+
+    @cached_property
+    def _compiled(self) -> tuple[Model, Program, Session]:
+        began = clock.perf_counter()
+        model = self.declare()
         self._check_needs(model)
         self._minimize(model)
-        for name, constraint in self._constraints.items():
-            self._constrain(model, name, constraint)
+        for name, own in self._constraints.items():
+            self._constrain(model, name, own)
         for name, published in {**model.published, **model.reported}.items():
             model.build.output(name, published.values)
         program = model.build.build()
@@ -241,12 +287,22 @@ class MultiStage:
     def _check_needs(self, model: Model) -> None:
         missing = [name for name in self.objective.needs if not model.has(name)]
         if missing:
-            able = [n for n, f in _formulations().items() if set(missing) <= set(f.publishes)]
+            able = _publishing(missing)
             raise ModelError(
                 f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
                 f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
                 + (f"; formulations that publish it: {', '.join(able)}" if able else "")
             )
+
+    def explain(self, error: QuantityError) -> str:
+        """What to tell somebody whose constraint uses a quantity that is not published here."""
+        able = _publishing([error.quantity])
+        if not able:
+            return str(error)
+        return (
+            f"formulation {self.formulation.name!r} does not publish {error.kind}.{error.quantity}; "
+            f"formulations that do: {', '.join(able)}"
+        )
 
     def _minimize(self, model: Model) -> None:
         build = model.build
@@ -266,11 +322,37 @@ class MultiStage:
                 last = model.published[f"{state.name}_next"].values[:, -1:]
                 build.minimize(-price * last)
 
-    def _constrain(self, model: Model, name: str, constraint: Callable[[Stage], Constraint]) -> None:
-        stated = constraint(_PhysicalStage(model))
-        if not isinstance(stated, Constraint):
-            raise ModelError(f"constraint {name!r} must return a comparison of quantities, not {stated!r}")
-        model.build.constrain(name, stated)
+    def _constrain(self, model: Model, name: str, own: _Own) -> None:
+        try:
+            stated = own.state(PhysicalStage(model))
+        except QuantityError as error:
+            raise ModelError(f"constraint {name!r}: {self.explain(error)}") from error
+        except (ModelError, SolverError) as error:
+            raise ModelError(f"constraint {name!r}: {error}") from error
+        if isinstance(stated, Expression | Sum) and own.limited:
+            stated = Constraint(stated, -np.inf, np.inf)  # every solve states the limits
+        elif not isinstance(stated, Constraint):
+            wanted = "a quantity or a total, to be limited" if own.limited else "a comparison of quantities"
+            raise ModelError(f"constraint {name!r} must return {wanted}, not {stated!r}")
+        elif own.limited:
+            raise ModelError(f"constraint {name!r} is a comparison already; leave out at_least and at_most")
+        if f"{name}_price" in model.prices:
+            raise ModelError(
+                f"constraint {name!r}: there is a price '{name}_price' already; take another name"
+            )
+        rows = model.build.constrain(_rows_of(name), stated)
+        items, stages = rows.index.shape
+        if stages != self.horizon:  # of some stages only: no price by stage
+            if own.limited:
+                raise ModelError(
+                    f"constraint {name!r}: at_least and at_most are for all stages; write >= or <="
+                )
+            return
+        model.price(
+            "" if items == 1 else f"{name}_item", f"{name}_price",
+            lambda solution, _: -solution.dual(rows.name) / self.step,
+            "$/h", f"rise of the cost when the right-hand side of {name!r} rises by one unit",
+        )  # fmt: skip
 
     # Solving -----------------------------------------------------------------------------
 
@@ -323,6 +405,9 @@ class MultiStage:
                 values = table.arrays[state.initial] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
             numbers.end_with(state.name, end)
+        for name, own in self._constraints.items():
+            if own.limited:
+                numbers.limit(_rows_of(name), *own.window(name, time, self.horizon))
         instance = numbers.instance()
         start = _start(previous, time)
         solution = session.solve(instance, start)
@@ -394,12 +479,57 @@ class _Numbers:
                 lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
             self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
 
+    def limit(self, rows: str, lower: Array, upper: Array) -> None:
+        """Give rows their limits, one value per stage."""
+        self.lower[rows], self.upper[rows] = lower[None, :], upper[None, :]
+
     def instance(self) -> Instance:
         """The numbers as an instance of the program."""
         return self.program.instance(self.parameters, self.lower, self.upper)
 
 
-class _PhysicalStage:
+@dataclass(frozen=True)
+class _Own:
+    """A user's constraint: what it limits, and limits that may change from step to step."""
+
+    state: Callable[[Stage], Any]
+    lower: Array
+    upper: Array
+
+    @property
+    def limited(self) -> bool:
+        """Whether limits were given beside the function."""
+        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
+
+    def window(self, name: str, start: int, stages: int) -> tuple[Array, Array]:
+        """Limits of the stages from a step on."""
+        limits = []
+        for side, values in (("at_least", self.lower), ("at_most", self.upper)):
+            if values.ndim and len(values) < start + stages:
+                raise ModelError(
+                    f"constraint {name!r}: {side} has {len(values)} values; "
+                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                )
+            limits.append(values[start : start + stages] if values.ndim else np.full(stages, values))
+        return limits[0], limits[1]
+
+
+def _limit(name: str, side: str, given: npt.ArrayLike | None, absent: float) -> Array:
+    """A limit as a number or a vector over time steps."""
+    values = np.asarray(absent if given is None else given)
+    if values.ndim > 1 or values.dtype.kind not in "if" or np.isnan(values).any():
+        raise ModelError(
+            f"constraint {name!r}: {side} = {given!r}: must be a number or one number per time step"
+        )
+    return values.astype(float)
+
+
+def _rows_of(name: str) -> str:
+    """Name of the rows of a user's constraint, which no quantity of a formulation or device has."""
+    return f"constraint {name}"
+
+
+class PhysicalStage:
     """A model whose quantities are in physical units, for users' constraints."""
 
     def __init__(self, model: Model) -> None:
@@ -410,6 +540,8 @@ class _PhysicalStage:
     def __getattr__(self, kind: str) -> Any:
         if kind.startswith("_"):
             raise AttributeError(kind)
+        if kind not in self.network.tables:
+            raise ModelError(f"there is no kind of component {kind!r}; {nearest(kind, self.network.tables)}")
         return _PhysicalQuantities(self._model, kind)
 
     def has(self, name: str) -> bool:
@@ -426,6 +558,9 @@ class _PhysicalQuantities:
     def __init__(self, model: Model, kind: str) -> None:
         self._model = model
         self._kind = kind
+
+    def __contains__(self, name: str) -> bool:
+        return name in getattr(self._model, self._kind)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -456,22 +591,27 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
     return made
 
 
-def make_devices(network: PerUnitNetwork) -> list[Device]:
+def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
     """The devices of a network: one object per kind that has components and takes part in the balance."""
     wired = ("bus", "branch", "shunt")
+    by_kind = {device.component.kind: device for device in given}
     return [
-        plugins.load("device", kind)()
+        by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
         for kind, table in network.tables.items()
         if kind not in wired and len(table)
     ]
 
 
-def _formulations() -> dict[str, type[Formulation]]:
-    known = {}
+def _publishing(quantities: list[str]) -> list[str]:
+    """Formulations that publish some quantities."""
+    able = []
     for name, plugin in plugins.plugins("formulation").items():
-        if plugin.origin == "opfmodel":
-            known[name] = plugin.load()
-    return known
+        try:
+            if set(quantities) <= set(getattr(plugin.load(), "publishes", ())):
+                able.append(name)
+        except PluginError:
+            continue  # "opfmodel list" reports it
+    return able
 
 
 # Plans ------------------------------------------------------------------------------------------
@@ -530,9 +670,16 @@ class Plan:
         return NumericStage(self._network, self.problem.step, self.quantities(), self._model.devices)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
-        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``."""
+        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
+
+        And what devices of other packages feed into the buses, as ``("bus", "<kind>_p")`` and ``_q``.
+        """
         named = {**self._model.published, **self._model.reported}
-        return {(p.kind, name): self.solution.value(name) for name, p in named.items()}
+        values = {(p.kind, name): self.solution.value(name) for name, p in named.items()}
+        for injection in self._model.injections:
+            power = injection.at_buses(self.solution, self._network)
+            values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
+        return values
 
     def next_state(self) -> dict[str, Array]:
         """The states after the first stage has been applied, in physical units."""
@@ -553,12 +700,11 @@ class Plan:
         """All published quantities and the demand, in physical units, over ``time`` and components."""
         from opfmodel.results import dataset
 
-        named = {**self._model.published, **self._model.reported}
+        described = self.problem.described
         values = {
-            name: (p.kind, p.unit, p.description, self.solution.value(name)) for name, p in named.items()
+            name: (kind, *described[name], array)
+            for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
-        for name, price in self._model.prices.items():
-            values[name] = (price.kind, price.unit, price.description, self.price(name))
         made = dataset(self._network, values, self.times)
         made.attrs |= {
             "network": self._network.name,
@@ -572,7 +718,7 @@ class Plan:
         return made
 
     def price(self, name: str) -> Array:
-        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``rating_price``, ..."""
+        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
         return self._model.prices[name].read(self.solution, self._network)
 
     def prices(self) -> dict[tuple[str, str], Array]:

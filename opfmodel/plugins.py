@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,7 +12,7 @@ from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
 
-__all__ = ["GROUPS", "Plugin", "load", "make", "plugins"]
+__all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
 GROUPS = {
     "objective": "opfmodel.objectives",
@@ -19,6 +20,17 @@ GROUPS = {
     "device": "opfmodel.devices",
     "profile": "opfmodel.profiles",
 }
+
+# What a plugin must be a subclass of; by name, because these live in layers above.
+_BASES = {
+    "objective": "opfmodel.objectives.base:Objective",
+    "formulation": "opfmodel.formulations.base:Formulation",
+    "device": "opfmodel.model:Device",
+    "profile": "opfmodel.profiles.base:ProfileRule",
+}
+
+# Where a class says its own name, which must be that of its entry point: results and networks use it.
+_NAMES = {"formulation": "name", "device": "component.kind"}
 
 
 @dataclass(frozen=True)
@@ -42,26 +54,52 @@ class Plugin:
         Raises
         ------
         PluginError
-            Its module does not import.
+            Its module does not import, or what it names is not a class of this sort and name.
         """
+        where = f"{self.sort} {self.name!r} of {self.origin} cannot be loaded ({self.point.value})"
         try:
-            return self.point.load()
-        except Exception as error:  # a third party's module may raise anything
-            raise PluginError(
-                f"{self.sort} {self.name!r} of {self.origin} cannot be loaded "
-                f"({self.point.value}): {type(error).__name__}: {error}"
-            ) from error
+            loaded = self.point.load()
+        except (Exception, SystemExit) as error:  # a third party's module may raise anything
+            raise PluginError(f"{where}: {type(error).__name__}: {error}") from error
+        base: type[Any] = pkgutil.resolve_name(_BASES[self.sort])
+        if not (isinstance(loaded, type) and issubclass(loaded, base)):
+            raise PluginError(f"{where}: {loaded!r} is not a subclass of {base.__module__}.{base.__name__}")
+        if self.sort in _NAMES:
+            named: Any = loaded
+            for part in _NAMES[self.sort].split("."):
+                named = getattr(named, part, None)
+            if named != self.name:
+                raise PluginError(f"{where}: its {_NAMES[self.sort]} is {named!r}, and must be {self.name!r}")
+        return loaded
 
 
-@cache
 def plugins(sort: str) -> dict[str, Plugin]:
     """All plugins of a sort by name; this package's own win over others of the same name."""
     found: dict[str, Plugin] = {}
+    for plugin in _every(sort):
+        found.setdefault(plugin.name, plugin)
+    return dict(sorted(found.items()))
+
+
+def hidden(sort: str) -> list[tuple[Plugin, Plugin]]:
+    """Plugins that cannot be reached, each with the one that has its name."""
+    winners = plugins(sort)
+    return [(p, winners[p.name]) for p in _every(sort) if p is not winners[p.name]]
+
+
+@cache
+def _every(sort: str) -> tuple[Plugin, ...]:
+    """All plugins of a sort, this package's own first, then by origin."""
+    found = []
     for point in entry_points(group=GROUPS[sort]):
         origin = point.dist.name if point.dist is not None else "unknown"
-        if point.name not in found or origin == "opfmodel":
-            found[point.name] = Plugin(sort, point.name, origin, point)
-    return dict(sorted(found.items()))
+        found.append(Plugin(sort, point.name, origin, point))
+    return tuple(sorted(found, key=lambda plugin: (plugin.origin != "opfmodel", plugin.origin)))
+
+
+def rescan() -> None:
+    """Look for plugins again, when one was installed while the program runs."""
+    _every.cache_clear()
 
 
 def load(sort: str, name: str) -> Any:

@@ -33,7 +33,8 @@ def dataset(
     network
         Arrays of the network, with the time series of the window.
     quantities
-        ``(kind, unit, description, values)`` by name; values of shape ``(items, stages)``.
+        ``(kind, unit, description, values)`` by name; values of shape ``(items, stages)``. The
+        kind "" stands for the whole system; one that the network does not have is numbered.
     times
         Hours at which the stages begin.
 
@@ -45,19 +46,22 @@ def dataset(
     import xarray as xr
 
     made = xr.Dataset(coords={"time": ("time", times, {"units": "h", "long_name": "start of the stage"})})
-    for kind in ("bus", *(kind for kind, _, _, _ in quantities.values())):
-        if kind not in made.coords:
-            made = made.assign_coords({kind: list(network.tables[kind].names)})
-        if kind in ("generator", "storage") and f"{kind}_bus" not in made:
-            at = [network.bus.names[b] for b in network.tables[kind].bus]
-            made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
+    made = made.assign_coords({"bus": list(network.bus.names)})
+    for kind, _, _, values in quantities.values():
+        if kind and kind not in made.coords:
+            table = network.tables.get(kind)
+            made = made.assign_coords({kind: np.arange(len(values)) if table is None else list(table.names)})
+            if table is not None and "bus" in table.arrays:
+                at = [network.bus.names[b] for b in table.bus]
+                made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
         name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times)))
         for name, field, unit, sort in (("pd", "p", "MW", "active"), ("qd", "q", "MVAr", "reactive"))
     }
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():
         physical = values * scale(unit, network.base_mva)
-        made[name] = (("time", kind), physical.T, {"units": unit, "long_name": description})
+        attributes = {"units": unit, "long_name": description}
+        made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
     return made
 
 

@@ -17,17 +17,20 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from opfmodel import cases, components, plugins
-from opfmodel.components import Bus, Component, Network, Polynomial
+from opfmodel import cases, plugins
+from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial
+from opfmodel.constraints import Limited
 from opfmodel.documents import Document, read_document
 from opfmodel.errors import (
     CaseError,
     ComponentError,
+    ConstraintError,
     ModelError,
     NetworkError,
     OpfmodelError,
     PluginError,
     ProfileError,
+    QuantityError,
     ScenarioError,
     nearest,
 )
@@ -35,7 +38,7 @@ from opfmodel.formulations.base import Formulation
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import End, MultiStage
+from opfmodel.plan import End, MultiStage, PhysicalStage
 from opfmodel.profiles.base import Workbook, constant
 from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
@@ -95,6 +98,7 @@ class _File(_Section):
     profiles: list[str | dict[str, Any]] = Field(default_factory=list)
     cost: Spec = "economic"
     controller: _Controller = Field(default_factory=_Controller)
+    constraints: dict[str, Any] = Field(default_factory=dict)
     published: _Published | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
@@ -113,6 +117,8 @@ class Scenario:
         The objective that realised costs are metered with.
     settings
         The checked content of the file.
+    constraints
+        Linear constraints of the controller's problem, by name.
     """
 
     name: str
@@ -122,6 +128,7 @@ class Scenario:
     cost: Objective
     objective: Objective
     settings: _File
+    constraints: Mapping[str, Limited] = field(default_factory=dict)
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property
@@ -140,7 +147,7 @@ class Scenario:
         controller = self.settings.controller
         solver = controller.solver
         name, options = (solver, {}) if isinstance(solver, str) else (solver.name, solver.options)
-        return MultiStage(
+        problem = MultiStage(
             self.network,
             controller.horizon,
             self.settings.time.step,
@@ -154,6 +161,9 @@ class Scenario:
             options=options,
             verbose=verbose,
         )
+        for constraint, own in self.constraints.items():
+            problem.constrain(constraint, own.linear, at_least=own.at_least, at_most=own.at_most)
+        return problem
 
     def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
         """The dispatch that the first problem starts from, in physical units; None leaves it free.
@@ -247,6 +257,7 @@ def load_scenario(
         cost=cost,
         objective=cost,
         settings=settings,
+        constraints=_constraints(document, settings),
     )
     controller = settings.controller
     if controller.objective is not None:
@@ -259,7 +270,8 @@ def load_scenario(
         with _located(document, ("controller", "solver")):
             find(solver, Kind.LINEAR)
     with _located(document, ("controller",)):
-        scenario.problem()
+        problem = scenario.problem()
+    _check_constraints(document, scenario.constraints, problem)
     return scenario
 
 
@@ -331,13 +343,15 @@ class _Declarations:
     def __init__(self, document: Document, section: dict[str, Any]) -> None:
         self.document = document
         self.section = section
-        self.kinds = {kind.plural: kind for kind in component_kinds()}
+        kinds, self.broken = component_kinds()
+        self.kinds = {kind.plural: kind for kind in kinds}
 
     def network(self, name: str) -> Network:
         known = (*self._OWN, *self.kinds)
         for key in self.section:
             if key not in known:
-                raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}")
+                broken = "".join(f"; {reason}" for reason in self.broken)
+                raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}{broken}")
         network = self._start(name)
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
@@ -453,22 +467,26 @@ def _pattern(name: str) -> re.Pattern[str]:
 _SHARE = re.compile(r"\s*([0-9.]+)\s*%\s*of\s+(\w+)\s*")
 
 
-def component_kinds() -> list[type[Component]]:
-    """Classes of components that a scenario can declare: the built-in ones and those of devices."""
-    built_in: list[type[Component]] = [
-        components.Bus,
-        components.Branch,
-        components.Generator,
-        components.Storage,
-        components.Load,
-        components.Shunt,
-    ]
-    known: dict[str, type[Component]] = {kind.kind: kind for kind in built_in}
+def component_kinds() -> tuple[list[type[Component]], list[str]]:
+    """Classes of components that a scenario can declare, and what is wrong with devices that do not load.
+
+    The classes are the built-in ones and those of other packages' devices.
+    """
+    known: dict[str, type[Component]] = {kind.kind: kind for kind in BUILT_IN}
+    broken = []
     for name, plugin in plugins.plugins("device").items():
         if name not in known:
-            component = plugin.load().component
-            known[component.kind] = component
-    return list(known.values())
+            try:
+                component = plugin.load().component
+            except PluginError as error:
+                broken.append(str(error))
+                continue
+            taken = [kind.plural for kind in known.values()]
+            if isinstance(getattr(component, "plural", None), str) and component.plural not in taken:
+                known[component.kind] = component
+            else:
+                broken.append(f"device {name!r} of {plugin.origin}: its component needs a plural of its own")
+    return list(known.values()), broken
 
 
 def _profiles(document: Document, settings: _File, network: Network) -> Profiles:
@@ -480,6 +498,41 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
         with _located(document, (*key, name)):
             plugins.make("profile", name, options).apply(book)
     return Profiles.of(book.series)
+
+
+def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
+    made = {}
+    steps = settings.time.steps + settings.controller.horizon - 1
+    for name, values in settings.constraints.items():
+        with _in_constraint(document, name):
+            made[name] = Limited.from_mapping(values, steps, document.path.parent)
+    return made
+
+
+def _check_constraints(document: Document, constraints: Mapping[str, Limited], problem: MultiStage) -> None:
+    """Raise an error with the position of a term that is not in the network or not published."""
+    if not constraints:
+        return
+    probe = MultiStage(
+        problem.network, formulation=problem.formulation, profiles=problem.profiles, devices=problem.devices
+    )
+    stage: Any = PhysicalStage(probe.declare())
+    for name, own in constraints.items():
+        with _in_constraint(document, name):
+            for key in own.linear.terms:
+                try:
+                    own.linear.term(stage, key)
+                except QuantityError as error:
+                    raise ConstraintError(problem.explain(error), "terms", key) from error
+            own.linear(stage)
+
+
+@contextmanager
+def _in_constraint(document: Document, name: str) -> Iterator[None]:
+    try:
+        yield
+    except ConstraintError as error:
+        raise document.error(("constraints", name, *error.key), str(error)) from error
 
 
 def _objective(

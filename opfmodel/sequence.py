@@ -102,7 +102,8 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     Raises
     ------
     ModelError
-        A step has no solution; the message names it and why the solver stopped.
+        A step has no solution; the message names it and why the solver stopped. Or a device of
+        another package couples the steps.
     """
     network = _alone(problem.network)
     kept = problem.profiles.without(problem.network.of(Storage))
@@ -116,16 +117,24 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     series = {key: values[first] for key, values in window.series.items()}
 
     def solve(profiles: Profiles, stages: int) -> Plan:
-        return MultiStage(
+        alone = MultiStage(
             network,
             stages,
             problem.step,
             formulation=problem.formulation,
             objective=problem.objective,
             profiles=profiles,
+            devices=problem.devices,
             solver=problem.solver,
             options=problem.options,
-        ).solve()
+        )
+        carried = [state for state in alone.model.states.values() if state.role == "stock"]
+        if stages > 1 and carried:
+            raise ModelError(
+                f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "
+                "they are for grids whose only stores are storages"
+            )
+        return alone.solve()
 
     plan = solve(Profiles(series), first.size)
     if not plan.optimal:

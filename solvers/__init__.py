@@ -14,9 +14,20 @@ from solvers.errors import (
     UnsupportedProgramError,
 )
 from solvers.expression import Constraint, Expression, Sum, largest, largest_by, total
+from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
 from solvers.program import Block, Cone, Instance, Output, Placement, Program
 from solvers.solution import Solution, Start
-from solvers.solve import BackEnd, Session, back_ends, broken_back_ends, find, prepare, solve
+from solvers.solve import (
+    BackEnd,
+    Session,
+    back_ends,
+    broken_back_ends,
+    find,
+    installed,
+    prepare,
+    rescan,
+    solve,
+)
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, Structure, classify, curvature_varies, nonconvex_cost
 from solvers.template import Degree, Template
@@ -32,6 +43,8 @@ __all__ = [
     "Expression",
     "Instance",
     "Kind",
+    "Matrices",
+    "MatrixMaker",
     "Output",
     "Placement",
     "Program",
@@ -43,6 +56,7 @@ __all__ = [
     "SolutionStatus",
     "SolverError",
     "SolverOptionError",
+    "StandardForm",
     "Start",
     "Structure",
     "Sum",
@@ -55,10 +69,14 @@ __all__ = [
     "classify",
     "curvature_varies",
     "find",
+    "installed",
     "largest",
     "largest_by",
     "nonconvex_cost",
     "prepare",
+    "proves_infeasible",
+    "rescan",
     "solve",
+    "standard_form",
     "total",
 ]

@@ -165,10 +165,15 @@ class ProgramBuilder:
         return rows
 
     def cone(self, name: str, bound: Any, *entries: Any) -> None:
-        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables."""
+        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables.
+
+        Of expressions without entries there is no cone.
+        """
         expressions = [self.expression(e) for e in (bound, *entries)]
         shape = np.broadcast_shapes(*(e.shape for e in expressions))
         self._check_new(name)
+        if not shape[0] * shape[1]:
+            return
         offset = sum(c.size for c in self._cones.values())
         cone = Cone(name, len(expressions), shape[0], shape[1], offset)
         self._cones[name] = cone
@@ -192,10 +197,12 @@ class ProgramBuilder:
         return constant(self, values)
 
     def epigraph(
-        self, pieces: Sequence[Expression], owner: Index | None = None, items: int | None = None
+        self, pieces: Sequence[Expression | Sum], owner: Index | None = None, items: int | None = None
     ) -> Expression:
         """A new variable that lies above each piece. See :func:`solvers.largest`."""
         shape = np.broadcast_shapes(*(p.shape for p in pieces))
+        if shape[0] != 1 and any(isinstance(p, Sum) for p in pieces):
+            raise ProgramError(f"a sum has one value per stage; it does not combine with {shape[0]} items")
         name = f"largest_{sum(n.startswith('largest_') for n in self._variables) + 1}"
         above = self.variable(name, shape[0] if items is None else items, shape[1])
         for position, piece in enumerate(pieces):

@@ -205,6 +205,11 @@ class Sum:
         """Number of stages."""
         return max(term.stages for term in self.terms)
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """``(1, stages)``."""
+        return 1, self.stages
+
     def spread(self) -> tuple[Expression, ...]:
         """The terms, those of a single stage counting in every stage."""
         return tuple(
@@ -309,12 +314,13 @@ def largest(*values: Any) -> Any:
     """Entrywise maximum of expressions or arrays: ``max(0, x)``, ``|x| = max(x, -x)``.
 
     For a program the maximum is a new variable that lies above each argument, which is exact
-    where the result is minimised or bounded from above; anything else would not be convex.
+    where the result is minimised or bounded from above; anything else would not be convex. Of
+    sums (``largest(0.0, total(x) - 5.0)``) it is one value per stage.
     """
     builder = _builder(values)
     if builder is None:
         return np.maximum.reduce(np.broadcast_arrays(*values))
-    return builder.epigraph([builder.expression(v) for v in values])
+    return builder.epigraph([v if isinstance(v, Sum) else builder.expression(v) for v in values])
 
 
 def largest_by(owner: npt.NDArray[np.intp], pieces: Any, items: int) -> Any:
@@ -341,6 +347,8 @@ def _builder(values: Sequence[Any]) -> ProgramBuilder | None:
     for value in values:
         if isinstance(value, Expression):
             return value.builder
+        if isinstance(value, Sum):
+            return value.terms[0].builder
     return None
 
 

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from solvers.assembly import Evaluator
 from solvers.program import Array, Instance, Program
 
-__all__ = ["Matrices", "StandardForm", "proves_infeasible", "standard_form"]
+__all__ = ["Matrices", "MatrixMaker", "StandardForm", "proves_infeasible", "standard_form"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,18 @@ from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
 from solvers.structure import Kind, Structure, classify, curvature_varies
 
-__all__ = ["BackEnd", "Session", "back_ends", "broken_back_ends", "choose", "find", "prepare", "solve"]
+__all__ = [
+    "BackEnd",
+    "Session",
+    "back_ends",
+    "broken_back_ends",
+    "choose",
+    "find",
+    "installed",
+    "prepare",
+    "rescan",
+    "solve",
+]
 
 GROUP = "solvers.backends"
 Options = Mapping[str, Any]
@@ -60,8 +71,25 @@ def back_ends() -> dict[str, BackEnd]:
 
 
 def broken_back_ends() -> dict[str, Exception]:
-    """Back ends that could not be loaded, and why."""
-    return {name: end for name, end in _load().items() if isinstance(end, Exception)}
+    """Back ends that could not be loaded or cannot say what they call, and why."""
+    broken = {name: end for name, end in _load().items() if isinstance(end, Exception)}
+    for name, end in back_ends().items():
+        called = _installed(end)
+        if isinstance(called, Exception):
+            broken[name] = called
+    return broken
+
+
+def installed(end: BackEnd) -> tuple[str, ...]:
+    """Names of the installed solvers that a back end can call, the default first; none if it is broken."""
+    called = _installed(end)
+    return () if isinstance(called, Exception) else called
+
+
+def rescan() -> None:
+    """Look for back ends again, when one was installed while the program runs."""
+    _load.cache_clear()
+    back_ends.cache_clear()
 
 
 @cache
@@ -73,11 +101,24 @@ def _load() -> dict[str, BackEnd | Exception]:
 
 
 def _load_one(point: EntryPoint) -> BackEnd | Exception:
+    """A back end, or why there is none: whatever a third party's module raises is reported, by name."""
     try:
         end: BackEnd = point.load()()
-    except Exception as error:  # whatever a third party's module raises is reported, by name
+        name, accepts, ready = end.name, end.accepts, callable(end.solvers) and callable(end.prepare)
+    except Exception as error:
         return error
+    except SystemExit as stop:
+        return UnknownSolverError(f"its module exits: {stop}")
+    if not (name == point.name and isinstance(accepts, Kind) and ready):
+        return UnknownSolverError(f"{point.value} is not a back end: name = {name!r}, accepts = {accepts!r}")
     return end
+
+
+def _installed(end: BackEnd) -> tuple[str, ...] | Exception:
+    try:
+        return tuple(end.solvers())
+    except (Exception, SystemExit) as error:  # reported, by name, like a back end that does not load
+        return UnknownSolverError(f"it cannot name its solvers: {type(error).__name__}: {error}")
 
 
 def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
@@ -99,14 +140,13 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
     ends = back_ends()
     prefix, _, rest = name.partition(":")
     if prefix in ends and rest:
-        if rest in ends[prefix].solvers():
+        if rest in installed(ends[prefix]):
             return ends[prefix], rest
     elif name in ends:
-        default = next(ends[name].solvers(), None)
-        if default is not None:
+        for default in installed(ends[name]):
             return ends[name], default
     else:
-        offering = [end for end in ends.values() if name in end.solvers()]
+        offering = [end for end in ends.values() if name in installed(end)]
         accepting = [end for end in offering if end.accepts >= kind]
         for end in accepting or offering:
             return end, name
@@ -114,7 +154,7 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
 
 
 def _inventory(ends: Mapping[str, BackEnd]) -> str:
-    parts = [f"{end.name} ({', '.join(end.solvers()) or 'nothing installed'})" for end in ends.values()]
+    parts = [f"{end.name} ({', '.join(installed(end)) or 'nothing installed'})" for end in ends.values()]
     text = f"installed are: {'; '.join(parts) or 'none'}"
     broken = broken_back_ends()
     if broken:
@@ -203,7 +243,7 @@ def choose(program: Program, kind: Kind) -> str:
     else:
         wanted = "ipopt"
     end = back_ends().get(wanted)
-    return wanted if end is not None and next(end.solvers(), None) is not None else "ipopt"
+    return wanted if end is not None and installed(end) else "ipopt"
 
 
 def _blocks(names: tuple[str, ...]) -> str:

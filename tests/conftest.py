@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from distributions import install
 from hypothesis import settings
 
 import opfmodel as om
 
 settings.register_profile("opfmodel", deadline=None)  # machines are shared and noisy
 settings.load_profile("opfmodel")
+
+collect_ignore = ["plugins"]  # a distribution of its own, which test_plugins installs
 
 DATA = Path(__file__).parent / "data"
 ROOT = Path(__file__).parent.parent
@@ -79,6 +82,14 @@ def pglib_baseline() -> dict[str, dict[str, str]]:
     """Published reference values by case."""
     with (DATA / "pglib" / "baseline.csv").open() as stream:
         return {row["case"]: row for row in csv.DictReader(stream)}
+
+
+@pytest.fixture(scope="session")
+def example_plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder into which the distribution of ``tests/plugins`` is installed."""
+    target = tmp_path_factory.mktemp("site")
+    install(ROOT / "tests" / "plugins", target)
+    return target
 
 
 @pytest.fixture

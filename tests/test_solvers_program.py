@@ -81,6 +81,27 @@ def test_the_largest_is_exact_when_minimised(a: np.ndarray) -> None:
     assert_allclose(largest(1.0, a, 3.0 - 2.0 * a), expected)
 
 
+@given(a=arrays)
+def test_the_largest_of_totals_has_one_value_per_stage(a: np.ndarray) -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 3, 4, a, a)
+    build.minimize(2.0 * largest(0.0, total(x) - 4.0, 3.0 - total(x)))
+    expected = largest(0.0, total(a) - 4.0, 3.0 - total(a))
+    assert expected.shape == (4,)
+    assert solvers.solve(build.build()).objective == pytest.approx(2.0 * expected.sum(), abs=1e-6)
+    with pytest.raises(ProgramError, match="a sum has one value per stage; it does not combine with 3 items"):
+        largest(x, total(x))
+
+
+def test_a_cone_of_nothing_is_none() -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 2, lower=1.0)
+    build.cone("empty", x[np.zeros(0, dtype=int)], x[np.zeros(0, dtype=int)])
+    build.minimize(x)
+    assert not build.build().cones
+    assert classify(build.build()).kind is Kind.LINEAR
+
+
 def test_terms_added_to_the_same_row_are_summed() -> None:
     build = ProgramBuilder()
     x = build.variable("x", 4, 3)

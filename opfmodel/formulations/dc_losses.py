@@ -28,7 +28,7 @@ class DCLosses(Formulation):
 
     name = "dc-losses"
     reactive = False
-    publishes = ("va", "pf", "pt")
+    publishes = ("va", "loss", "pf", "pt")
 
     def declare(self, model: Model) -> None:
         """Declare ``va``, the losses and the branch flows."""

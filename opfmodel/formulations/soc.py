@@ -51,8 +51,6 @@ class SOC(Formulation):
         )  # fmt: skip
         model.report("bus", "vm", np.sqrt(w), unit="p.u.", description="square root of w")
         shunts(model, w)
-        if not len(branch):
-            return
         n = _Neighbours.of(network)
         pairs = len(n.first)
         bounds = n.product_bounds(

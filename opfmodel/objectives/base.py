@@ -29,12 +29,15 @@ class Objective:
     ----------
     needs
         Names of the quantities without which the objective has no meaning.
+    convex
+        Whether the cost is convex in the quantities that it reads.
     regularisation
         Default weight, in $/(h p.u.²), of the squares of storage power that a plan adds to make
         the problem well posed. It never counts in a reported cost.
     """
 
     needs: tuple[str, ...] = ()
+    convex: bool = True
     regularisation: float = 0.0
 
     def stage_cost(self, stage: Stage) -> Any:
@@ -85,6 +88,7 @@ class WeightedSum(Objective):
             flat += [(weight * w, p) for w, p in nested]
         self.parts: list[tuple[float, Objective]] = flat
         self.needs = tuple(dict.fromkeys(name for _, part in flat for name in part.needs))
+        self.convex = all(part.convex for _, part in flat)
         self.regularisation = max((part.regularisation for _, part in flat), default=0.0)
 
     def stage_cost(self, stage: Stage) -> Any:

@@ -1,0 +1,24 @@
+"""The contracts of plugins: what any objective, formulation, device, profile rule and back end must keep.
+
+    >>> from opfmodel.objectives.economic import Economic
+    >>> check_objective(Economic(reactive_weight=1e-3))
+
+In the spirit of scikit-learn's ``check_estimator``: nothing happens, or one
+:class:`ContractError` names the rule that is broken. ``docs/extending.md`` shows plugins that keep
+them.
+"""
+
+from opfmodel.testing.devices import check_device
+from opfmodel.testing.formulations import check_formulation
+from opfmodel.testing.objectives import check_objective
+from opfmodel.testing.profiles import check_profile
+from solvers.testing import ContractError, check_back_end
+
+__all__ = [
+    "ContractError",
+    "check_back_end",
+    "check_device",
+    "check_formulation",
+    "check_objective",
+    "check_profile",
+]

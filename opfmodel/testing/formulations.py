@@ -1,0 +1,119 @@
+"""The contract of a formulation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.check import check
+from opfmodel.components import Load, Network
+from opfmodel.errors import ModelError
+from opfmodel.formulations.base import Formulation
+from opfmodel.model import Model
+from opfmodel.network import per_unit
+from opfmodel.plan import MultiStage, Plan
+from opfmodel.testing.grids import EDGE_GRIDS, demand, feeder, ring
+from opfmodel.testing.options import check_documentation
+from solvers.testing import Contract
+
+__all__ = ["check_formulation"]
+
+_VIOLATION = 1e-6  # p.u.
+
+
+def check_formulation(formulation: Formulation) -> None:
+    """Raise :class:`ContractError` unless a formulation keeps its contract.
+
+    It states its name, whether it balances reactive power, and what it publishes, and publishes just
+    that on any grid; a radial grid with all built-in devices and time series is solved for one stage
+    and for three, and :func:`opfmodel.check.check` finds no violation; the price ``lmp`` of a
+    bus is the slope of the cost in its demand; branches without ratings, no shunts, no branches,
+    islands and parts out of service are coped with; a loop is solved or refused by a ``ModelError``.
+    """
+    rules = Contract(f"formulation {type(formulation).__name__}")
+    rules.require(isinstance(formulation, Formulation), "is a Formulation")
+    check_documentation(rules, type(formulation))
+    _check_statements(rules, formulation)
+    for horizon in (1, 3):
+        _check_plan(rules, formulation, feeder(), horizon, "a feeder")
+    for name, grid in EDGE_GRIDS.items():
+        _check_plan(rules, formulation, grid(), 2, f"a grid with {name}", series=False)
+    _check_prices(rules, formulation)
+    with rules.rule("solves a loop or refuses it with a ModelError"):
+        try:
+            MultiStage(ring(), formulation=formulation).declare()
+        except ModelError as error:
+            rules.require("'ring'" in str(error), "names the grid that it refuses", str(error))
+            return
+    _check_plan(rules, formulation, ring(), 2, "a ring", series=False)
+
+
+def _check_statements(rules: Contract, formulation: Formulation) -> None:
+    """The attributes are there, and what is published is what is stated."""
+    for attribute, kind in (("name", str), ("reactive", bool), ("publishes", tuple)):
+        value = getattr(formulation, attribute, None)
+        rules.require(isinstance(value, kind), f"states {attribute}, a {kind.__name__}", repr(value))
+    for grid in (feeder(), *(make() for make in EDGE_GRIDS.values())):
+        arrays = per_unit(grid)
+        with rules.rule("gives every bus a row of the balance"):
+            zones = formulation.zones(arrays)
+            model = Model(arrays, 2, 1.0, reactive=formulation.reactive, zones=zones)
+        rules.require(zones.shape == (len(arrays.bus),), "gives every bus a row of the balance")
+        with rules.rule("declares itself on any grid"):
+            formulation.declare(model)
+        stated, published = set(formulation.publishes), set(model.published)
+        rules.require(stated <= published, "publishes what it states", ", ".join(sorted(stated - published)))
+        rules.require(published <= stated, "states what it publishes", ", ".join(sorted(published - stated)))
+
+
+def _solved(rules: Contract, problem: MultiStage, rule: str) -> Plan:
+    with rules.rule(rule):
+        plan = problem.solve()
+    rules.require(plan.optimal, rule, plan.termination)
+    return plan
+
+
+def _check_plan(
+    rules: Contract, formulation: Formulation, grid: Network, horizon: int, what: str, series: bool = True
+) -> None:
+    """A grid is solved and an independent check finds nothing wrong."""
+    profiles = demand() if series else {}
+    plan = _solved(
+        rules, MultiStage(grid, horizon, formulation=formulation, profiles=profiles), f"solves {what}"
+    )
+    with rules.rule(f"reports {what} so that it can be checked"):
+        report = check(grid, plan.data, profiles)
+    worst = report.worst
+    found = "" if worst is None else f"{worst.family} at {worst.component}: {worst.value:.1e} p.u."
+    rules.require(report.max_violation <= _VIOLATION, f"keeps all limits and balances of {what}", found)
+    balanced = not any(left_out.startswith("balance") for left_out in report.unchecked)
+    rules.require(balanced, "publishes the flows of all branches, or none", "; ".join(report.unchecked))
+    with rules.rule("says how far a solution is from what it relaxes"):
+        distances = plan.relaxation.values()
+    sound = all(np.isfinite(distance) and distance >= 0.0 for distance in distances)
+    rules.require(sound, "says how far a solution is from what it relaxes", str(plan.relaxation))
+
+
+def _check_prices(rules: Contract, formulation: Formulation) -> None:
+    """The price of a bus is the slope of the optimal cost in its demand, for a stage of half an hour."""
+    grid, step, change = feeder(), 0.5, 0.05
+    grid.remove("tank")
+    grid.remove("battery")
+    grid.update("line", rating=None)
+
+    def plan() -> Plan:
+        problem = MultiStage(grid, 1, step, formulation=formulation)
+        return _solved(rules, problem, "solves a feeder with other demand")
+
+    for name, load in grid.of(Load).items():
+        price = float(plan().data["lmp"].sel(bus=load.bus)[0])
+        costs = []
+        for p in (load.p + change, load.p - change):
+            grid.update(name, p=p)
+            costs.append(plan().objective)
+        grid.update(name, p=load.p)
+        slope = (costs[0] - costs[1]) / (2 * change * step)
+        rules.require(
+            np.isclose(price, slope, rtol=1e-3, atol=1e-3),
+            "the price of a bus is the slope of the cost in its demand",
+            f"at {load.bus} {price:g} is not {slope:g} $/MWh",
+        )

@@ -1,0 +1,44 @@
+"""Random points of a compiled problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from opfmodel.plan import Plan
+from solvers import Block, Solution
+
+__all__ = ["at_random"]
+
+
+def at_random(plan: Plan, rng: np.random.Generator) -> Plan:
+    """A plan of the same problem with random values in place of the optimum.
+
+    Variables that stand for a maximum (:func:`solvers.largest`) take the value of the maximum, so
+    that the cost of the program is that of the formula.
+    """
+    instance = plan.solution.instance
+    low = np.where(np.isfinite(instance.lower), instance.lower, np.minimum(instance.upper, 2.0) - 2.0)
+    high = np.where(np.isfinite(instance.upper), instance.upper, low + 2.0)
+    solution = replace(plan.solution, x=rng.uniform(low, high))
+    for block in solution.program.variables.values():
+        if block.name.startswith("largest_"):
+            solution = _raised(solution, block)
+    return Plan(plan.problem, plan.problem.model, solution, plan.stage.network, plan.time)
+
+
+def _raised(solution: Solution, block: Block) -> Solution:
+    """The point with one block of maxima put on the largest of its pieces, from its rows ``t - piece``."""
+    x = solution.x.copy()
+    x[block.slice] = 0.0
+    solution = replace(solution, x=x)
+    most = np.full(block.size, -np.inf)
+    slopes = solution.evaluator.jacobian(x, solution.instance.parameters).tocsr()[:, block.slice]
+    for rows in solution.program.rows.values():
+        if rows.name.startswith(f"{block.name}_piece_"):
+            row, column = slopes[rows.slice].nonzero()
+            np.maximum.at(most, column, -solution.rows[rows.slice][row])
+    x = x.copy()
+    x[block.slice] = most
+    return replace(solution, x=x)

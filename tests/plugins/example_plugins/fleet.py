@@ -1,0 +1,72 @@
+"""Fleets of electric vehicles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from opfmodel.components import Component, at_bus, flag, number
+from opfmodel.model import Device, Model, Stage
+from opfmodel.network import Table
+from solvers import total
+
+__all__ = ["Fleet", "FleetDevice"]
+
+
+@dataclass(frozen=True)
+class Fleet(Component):
+    """Vehicles that charge at one bus.
+
+    Parameters
+    ----------
+    bus
+        Name of its bus.
+    power
+        Largest charging power, MW; a time series that is zero while the vehicles are away.
+    energy, energy_min
+        Capacity and least energy, MWh; a time series of the latter is what departures need.
+    driving
+        Power used on the road, MW, usually a time series.
+    initial
+        Energy at the start, MWh.
+    wear
+        Cost of charging, $/MWh.
+    """
+
+    kind: ClassVar[str] = "fleet"
+    plural: ClassVar[str] = "fleets"
+
+    bus: str = at_bus()
+    power: float = number("MW", at_least=0.0)
+    energy: float = number("MWh", at_least=0.0)
+    energy_min: float = number("MWh", 0.0, at_least=0.0)
+    driving: float = number("MW", 0.0, at_least=0.0)
+    initial: float = number("MWh", 0.0, at_least=0.0)
+    wear: float = number("$/MWh", 0.0, at_least=0.0)
+    in_service: bool = flag(True)
+
+
+class FleetDevice(Device):
+    r"""Vehicles that charge, drive and depart with enough energy.
+
+    .. math::
+        e(k+1) = e(k) + \Delta (p^c(k) - p^d(k)), \quad 0 \le p^c \le power, \quad
+        e_{min} \le e \le \bar e
+    """
+
+    component = Fleet
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare ``charge`` and ``level``."""
+        charge = model.variable("fleet", "charge", 0.0, "power", unit="MW", description="charging power")
+        level = model.stock(
+            "fleet", "level", "energy_min", "energy", initial="initial",
+            unit="MWh", description="energy of the vehicles",
+        )  # fmt: skip
+        gained = model.step * (charge - model.field("fleet", "driving"))
+        model.rows("fleet", "fleet_energy", level[:, 1:] - level[:, :-1] - gained, 0.0, 0.0)
+        model.inject(table.bus, p=-charge)
+
+    def cost(self, stage: Stage) -> Any:
+        """Cost of wear, $/h."""
+        return total(stage.fleet.wear * stage.fleet.charge)

@@ -1,0 +1,120 @@
+"""Every plugin keeps its contract: those of this package and those of ``tests/plugins``."""
+
+from __future__ import annotations
+
+import configparser
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from distributions import visible
+
+import opfmodel as om
+import solvers
+from opfmodel import plugins
+from opfmodel.components import Component
+from opfmodel.objectives.setpoint_tracking import Setpoints
+from opfmodel.testing import (
+    check_back_end,
+    check_device,
+    check_formulation,
+    check_objective,
+    check_profile,
+)
+
+CONFIG = configparser.ConfigParser()
+CONFIG.read(ROOT / "tests" / "plugins" / "setup.cfg")
+
+
+def names(sort: str) -> list[str]:
+    """Names of the plugins of this package and of ``tests/plugins``."""
+    group = plugins.GROUPS.get(sort, "solvers.backends")
+    own = (
+        [p.name for p in plugins.plugins(sort).values()] if sort in plugins.GROUPS else [*solvers.back_ends()]
+    )
+    lines = CONFIG["options.entry_points"][group].strip().splitlines()
+    return [*own, *(line.partition("=")[0].strip() for line in lines)]
+
+
+# Options for plugins that have required ones, and for options that matter; for the grid of the contract.
+OPTIONS: dict[tuple[str, str], dict[str, object]] = {
+    ("objective", "economic"): {"reactive_weight": 0.1, "energy_weight": 0.2},
+    ("objective", "emissions"): {"factors": {"coal": 0.9, "gas": 0.4}, "price": 30.0, "limit": 20.0},
+    ("objective", "linear-quadratic"): {
+        "Q": {"pg": 2.0, "e": [[1.0, 0.5], [0.5, 1.0]]},
+        "R": {"ps": 0.1},
+        "q": {"pg": [3.0, 4.0]},
+    },
+    ("objective", "setpoint-tracking"): {"setpoints": Setpoints({"coal.pg": [20, 30, 40], "tank.e": 10})},
+    ("objective", "stored-energy-value"): {"price": 30.0},
+    ("profile", "noise"): {"deviation": 0.1, "correlation": 0.5, "seed": 1},
+    ("profile", "power-factor"): {"value": 0.9, "loads": ["town"]},
+    ("profile", "shape"): {"file": "series.csv", "column": "wind", "loads": ["town"]},
+    ("profile", "scale"): {"factor": 1.1, "loads": ["mill"]},
+    ("profile", "step"): {"loads": ["town"], "first": 2, "last": 3, "add": 4.0},
+    ("profile", "table"): {"file": "series.csv"},
+    ("profile", "repeat"): {"component": "coal", "field": "p_max", "values": [50.0, 60.0, 70.0]},
+}
+
+
+def example(kind: str) -> Component:
+    """A component of a kind, with as many features as fit."""
+    if kind == "generator":
+        cost = om.PiecewiseLinear(((0, 0), (10, 200), (30, 900)))
+        return om.Generator("x", p=(0, 30), q=(-5, 5), ramp=4, cost=cost)
+    if kind == "storage":
+        return om.Storage("x", energy=10, power=2, q=1, charge_efficiency=0.9, rating=2, standing_loss=0.01)
+    if kind == "load":
+        return om.Load("x", p=3, q=1)
+    if kind == "fleet":
+        from example_plugins.fleet import Fleet
+
+        return Fleet("x", power=3, energy=10, energy_min=1, initial=4, driving=0.5, wear=2.0)
+    raise AssertionError(f"add an example of a {kind} here")
+
+
+@pytest.fixture(autouse=True)
+def installed(example_plugins: Path) -> Iterator[None]:
+    with visible(example_plugins):
+        yield
+
+
+@pytest.mark.parametrize("name", names("objective"))
+def test_an_objective_keeps_its_contract(name: str) -> None:
+    check_objective(plugins.make("objective", name, OPTIONS.get(("objective", name), {})))
+
+
+@pytest.mark.parametrize("name", names("formulation"))
+def test_a_formulation_keeps_its_contract(name: str) -> None:
+    formulation = plugins.load("formulation", name)()
+    assert formulation.name == name
+    check_formulation(formulation)
+
+
+@pytest.mark.parametrize("name", names("device"))
+def test_a_device_keeps_its_contract(name: str) -> None:
+    device = plugins.load("device", name)()
+    assert device.component.kind == name
+    check_device(device, example(name))
+
+
+@pytest.mark.parametrize("name", names("profile"))
+def test_a_profile_rule_keeps_its_contract(name: str, tmp_path: Path) -> None:
+    (tmp_path / "series.csv").write_text(
+        "wind,town.p,coal.p_max\n" + "".join(f"{k + 1},{k},9\n" for k in range(24))
+    )
+    check_profile(plugins.make("profile", name, OPTIONS.get(("profile", name), {})), folder=tmp_path)
+
+
+@pytest.mark.parametrize("name", names("back end"))
+def test_a_back_end_keeps_its_contract(name: str) -> None:
+    end = solvers.back_ends()[name]
+    assert end.name == name
+    check_back_end(end)
+
+
+def test_all_sorts_are_here() -> None:
+    assert len(names("formulation")) >= 8
+    for sort in ("objective", "device", "profile", "back end"):
+        assert len(names(sort)) >= 2
