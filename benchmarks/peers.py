@@ -43,10 +43,10 @@ def pypower_case(case: str) -> dict[str, Any]:
 
 
 def pandapower_case(case: str) -> dict[str, Any]:
-    """pandapower's ``runopp`` with its defaults and a flat start."""
+    """Optimum by pandapower's ``runopp`` with its defaults and a flat start."""
     try:
         import pandapower as pp
-        from pandapower.converter import from_ppc
+        from pandapower.converter.pypower.from_ppc import from_ppc
     except ImportError as error:
         return {"error": f"skipped: {error.name} is not installed (pip install pandapower)"}
     warm = _silently(lambda: from_ppc(_ppc(_network("case3_lmbd"))))

@@ -22,7 +22,7 @@ __all__ = ["PlainProblem"]
 class PlainProblem:
     """Multi-stage AC-OPF with storage, ramps and a given initial energy."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0915 - one piece, as such scripts are
         self, network: PerUnitNetwork, horizon: int, weight: float = 1e-3, regularisation: float = 0.0
     ) -> None:
         bus, branch, gen, sto = network.bus, network.branch, network.generator, network.storage
@@ -85,7 +85,8 @@ class PlainProblem:
         }
         self.start = np.concatenate(start)
         self.initial = (sto.initial, None)
-        self.places = {"pg": slice(2 * n, 2 * n + g), "e": slice(2 * n + 2 * g + 2 * s, 2 * n + 2 * g + 3 * s)}
+        stored = 2 * (n + g + s)
+        self.places = {"pg": slice(2 * n, 2 * n + g), "e": slice(stored, stored + s)}
         problem = {
             "x": ca.vertcat(*variables),
             "p": parameters,
