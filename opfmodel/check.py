@@ -290,7 +290,7 @@ class _Checker:
         for name, load in self.network.of(Load).items():
             if load.in_service and load.bus in total:
                 p, q = self.declared(name, "p", load.p), self.declared(name, "q", load.q)
-                total[load.bus] -= (p + 1j * q) / self.base
+                total[load.bus] -= (p + 1j * q) / self.base - self.lacking("p_unserved", "q_unserved", name)
         for kind in self.others:
             for bus in total:
                 reactive = f"{kind.kind}_q" if f"{kind.kind}_q" in self.data else None
@@ -298,7 +298,19 @@ class _Checker:
         for shunt in self.network.of(Shunt).values():
             if shunt.in_service and shunt.bus in total:
                 total[shunt.bus] -= complex(shunt.g, -shunt.b) / self.base * self.voltage_squared(shunt.bus)
+        for bus in total:
+            total[bus] += self.lacking("p_shortage", "q_shortage", bus)
+            total[bus] -= self.lacking("p_surplus", "q_surplus", bus)
         return total
+
+    def lacking(self, active: str, reactive: str, name: str) -> Any:
+        """What an elastic plan or a plant reports to lack, p.u.; a violation in itself."""
+        power = np.zeros(len(self.times), dtype=complex)
+        for quantity, factor in ((active, 1.0), (reactive, 1j)):
+            if quantity in self.data:
+                power += factor * self.value(quantity, name) / self.base
+                self.note(quantity.replace("_", " "), name, np.abs(self.value(quantity, name)), self.base)
+        return power
 
     def power(self, active: str, reactive: str | None, name: str) -> Any:
         """Complex power of a device, p.u."""

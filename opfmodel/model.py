@@ -8,13 +8,14 @@ evaluated on a trajectory without being written twice.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import BUILT_IN, Component
+from opfmodel.elastic import Elastic, Slack, Soft
 from opfmodel.errors import ModelError, QuantityError, nearest
 from opfmodel.network import PerUnitNetwork, Table
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum
@@ -32,6 +33,8 @@ __all__ = [
     "Stage",
     "State",
 ]
+
+_LEAST_BOUND = 0.1  # p.u.; smaller limits are priced like this one
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -226,6 +229,13 @@ class Model:
         Balance row of each bus.
     series
         ``(kind, field)`` pairs that have time series.
+    elastic
+        Prices at which soft limits give way; None keeps every limit hard.
+
+    Attributes
+    ----------
+    slacks
+        By how much limits are exceeded, by name of the variable; empty unless elastic.
     """
 
     def __init__(
@@ -237,8 +247,11 @@ class Model:
         reactive: bool,
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
+        elastic: Elastic | None = None,
     ) -> None:
         self.network = network
+        self.elastic = elastic
+        self.slacks: dict[str, Slack] = {}
         self.stages = stages
         self.step = step
         self.reactive = reactive
@@ -263,6 +276,7 @@ class Model:
         if reactive:
             about = "cost of one more MVAr of demand"
             self.price("bus", "lmp_q", self._balance_price("q_balance"), "$/MVArh", about)
+        self._soften_balance()
 
     def connect(self, device: Device) -> None:
         """Let a device declare itself.
@@ -290,6 +304,7 @@ class Model:
         start: npt.ArrayLike | None = None,
         points: int | None = None,
         publish: bool = True,
+        soft: Soft | None = None,
     ) -> Expression:
         """Declare a variable for every component of a kind and every stage.
 
@@ -302,13 +317,21 @@ class Model:
             Physical unit of the quantity.
         points
             Number of points in time, if it is not the number of stages.
+        soft
+            How the bounds give way in an elastic problem; by default they do not. There they become
+            the rows ``name_limit``, and the variable itself is only kept from changing its sign.
         """
         table = self.network.tables[kind]
         low, high = (_resolve(table, bound) for bound in (lower, upper))
         if start is None:
             start = _middle(low, high)
-        values = self.build.variable(name, len(table), points or self.stages, low, high, start)
-        self.bounds[name] = BoundSource(kind, lower, upper)
+        if soft is None or self.elastic is None:
+            values = self.build.variable(name, len(table), points or self.stages, low, high, start)
+            self.bounds[name] = BoundSource(kind, lower, upper)
+        else:
+            least = np.where(low >= 0.0, 0.0, -np.inf)
+            values = self.build.variable(name, len(table), points or self.stages, least, np.inf, start)
+            self.rows(kind, f"{name}_limit", values, lower, upper, soft)
         if publish:
             self.publish(kind, name, values, unit=unit, description=description)
         return values
@@ -347,16 +370,21 @@ class Model:
             def floor(t: Table) -> npt.NDArray[Any]:
                 return limit(t, -1.0)
 
+            soft = Soft(
+                ramped, unit,
+                below="must fall {} faster than its ramp allows",
+                above="must rise {} faster than its ramp allows",
+            )  # fmt: skip
             if self.stages > 1 and ramped.size:
                 change = moving[:, 1:] - moving[:, :-1]
-                self.rows(kind, f"{name}_ramp", change, floor, limit)
+                self.rows(kind, f"{name}_ramp", change, floor, limit, replace(soft, first=1))
                 self.price(
                     kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
                     "$/MW", "value of one more MW of change from the stage before",
                 )  # fmt: skip
             if ramped.size:  # bounds decide in every solve whether it counts
                 before = self.build.parameter(f"{name}_previous", ramped.size)
-                self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit)
+                self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit, soft)
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
 
@@ -386,36 +414,130 @@ class Model:
         ``name_next``. Rows that tie the last point to the first are free unless a solve asks for
         a cyclic end.
         """
-        values = self.variable(kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False)
+        items = np.arange(len(self.network.tables[kind]))
+        soft = Soft(items, unit, "is {} below its minimum", "is {} over its capacity", "balance", first=-1)
+        values = self.variable(
+            kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False, soft=soft
+        )
         self.publish(
             kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage"
         )
         self.publish(kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at its end")
-        self.build.add(
-            values[:, -1:] - values[:, :1],
-            into=self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf),
-        )
+        cyclic = self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf)
+        self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
+        end = Soft(
+            items, unit,
+            "ends {} short of where it began", "ends {} over where it began",
+            "balance", first=self.stages - 1,
+        )  # fmt: skip
+        self.soften(kind, cyclic, end)
         self.states[name] = State(name, kind, unit, "stock", initial)
         return values
 
     # Rows and costs ----------------------------------------------------------------------
 
-    def limit(self, kind: str, name: str, items: int, lower: Bound, upper: Bound) -> Rows:
-        """Declare rows of every stage, empty so far; bounds as for :meth:`variable`."""
-        return self._rows(kind, name, items, self.stages, lower, upper)
+    def limit(
+        self, kind: str, name: str, items: int, lower: Bound, upper: Bound, soft: Soft | None = None
+    ) -> Rows:
+        """Declare rows of every stage, empty so far; bounds and ``soft`` as for :meth:`variable`."""
+        return self._rows(kind, name, items, self.stages, lower, upper, soft)
 
-    def rows(self, kind: str, name: str, body: Expression | Sum, lower: Bound, upper: Bound) -> Rows:
-        """State ``lower <= body <= upper``; bounds as for :meth:`variable`."""
+    def rows(
+        self,
+        kind: str,
+        name: str,
+        body: Expression | Sum,
+        lower: Bound,
+        upper: Bound,
+        soft: Soft | None = None,
+    ) -> Rows:
+        """State ``lower <= body <= upper``; bounds and ``soft`` as for :meth:`variable`."""
         items = 1 if isinstance(body, Sum) else body.items
-        rows = self._rows(kind, name, items, body.stages, lower, upper)
+        rows = self._rows(kind, name, items, body.stages, lower, upper, soft)
         self.build.add(body, into=rows)
         return rows
 
-    def _rows(self, kind: str, name: str, items: int, stages: int, lower: Bound, upper: Bound) -> Rows:
+    def _rows(
+        self, kind: str, name: str, items: int, stages: int, lower: Bound, upper: Bound, soft: Soft | None
+    ) -> Rows:
         table = self.network.tables[kind]
-        rows = self.build.rows(name, items, stages, _resolve(table, lower), _resolve(table, upper))
+        low, high = _resolve(table, lower), _resolve(table, upper)
+        rows = self.build.rows(name, items, stages, low, high)
         self.bounds[name] = BoundSource(kind, lower, upper)
+        if soft is not None:
+            self.soften(kind, rows, soft, lower, upper)
         return rows
+
+    # Limits that give way ----------------------------------------------------------------
+
+    def slack(self, kind: str, name: str, soft: Soft, phrase: str, stages: int | None = None) -> Expression:
+        """Declare by how much limits are exceeded: a variable that an elastic problem pays for.
+
+        Parameters
+        ----------
+        phrase
+            What to say of it: ``soft.below`` or ``soft.above``.
+        """
+        return self._slack(Slack(name, kind, soft, phrase), stages or self.stages)
+
+    def soften(
+        self,
+        kind: str,
+        rows: Rows,
+        soft: Soft,
+        lower: Bound = 0.0,
+        upper: Bound = 0.0,
+        names: tuple[str, str] | None = None,
+    ) -> None:
+        """Let rows give way in an elastic problem: ``lower <= rows + below - above <= upper``.
+
+        Parameters
+        ----------
+        lower, upper
+            Bounds of the rows; a side that is infinite for all items needs no slack.
+        names
+            Names of the two variables; by default ``rows_below`` and ``rows_above``.
+        """
+        if self.elastic is None:
+            return
+        below, above = names or (f"{rows.name}_below", f"{rows.name}_above")
+        for name, phrase, bound, sign in ((below, soft.below, lower, 1.0), (above, soft.above, upper, -1.0)):
+            table = self.network.tables.get(kind, self.network.bus)  # bounds of constraints are numbers
+            if phrase and np.isfinite(_resolve(table, bound)).any():
+                slack = Slack(name, kind, soft, phrase, _roots(bound) if soft.squared else None)
+                self.build.add(sign * self._slack(slack, rows.index.shape[1]), into=rows)
+
+    def _slack(self, slack: Slack, stages: int) -> Expression:
+        assert self.elastic is not None
+        soft = slack.soft
+        values = self.build.variable(slack.block, soft.members.size, stages, 0.0, np.inf)
+        price: float | Array = self.penalty(soft)
+        if slack.bound is not None:  # d(x^2) = 2 x dx
+            price = price / (2.0 * np.maximum(slack.bound(self.network.tables[slack.kind]), _LEAST_BOUND))
+        self.build.minimize(price * values)
+        self.slacks[slack.block] = slack
+        return values
+
+    def penalty(self, soft: Soft) -> float:
+        """Price in $ of one internal unit of a soft limit over a stage."""
+        assert self.elastic is not None
+        unit = self.network.base_mva if soft.unit else 1.0
+        return soft.share * float(getattr(self.elastic, soft.price)) * unit * self.step
+
+    def _soften_balance(self) -> None:
+        """Let power come from nowhere and vanish at every bus, or in every zone."""
+        _, first = np.unique(self.zones, return_index=True)
+        for rows, unit in ((self.balance_p, "MW"), (self.balance_q, "MVAr")):
+            if rows is not None:
+                letter = rows.name[0]
+                soft = self.soft_balance(first, unit, "balance")
+                self.soften("bus", rows, soft, names=(f"{letter}_shortage", f"{letter}_surplus"))
+
+    def soft_balance(self, bus: Index, unit: str, price: Literal["shedding", "balance"]) -> Soft:
+        """How the balance of buses gives way; without a network the first bus stands for its zone."""
+        _, first = np.unique(self.zones, return_index=True)
+        noun = "bus" if len(first) == len(self.network.bus) else "island of bus"
+        return Soft(first[self.zones[bus]], unit, "lacks {}", "has {} too much", price, noun=noun)
 
     def inject(self, bus: Index, p: Expression | None = None, q: Expression | None = None) -> None:
         """Add power to the balance of buses, one entry of ``bus`` per row of ``p`` and ``q``.
@@ -585,6 +707,16 @@ def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
     if isinstance(bound, str):
         return np.asarray(table.arrays[bound])
     return np.asarray(bound(table) if callable(bound) else bound)
+
+
+def _roots(bound: Bound) -> Callable[[Table], Array]:
+    """Square roots of the values of a bound, one column per stage where they change."""
+
+    def roots(table: Table) -> Array:
+        values = np.sqrt(_resolve(table, bound))
+        return np.asarray(values[:, None] if values.ndim == 1 else values)
+
+    return roots
 
 
 def _middle(lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[Any]:

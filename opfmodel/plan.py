@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ import numpy.typing as npt
 
 from opfmodel import plugins
 from opfmodel.components import Network
+from opfmodel.elastic import Elastic, Shortage, Soft, shortages
 from opfmodel.errors import ModelError, PluginError, QuantityError, nearest
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model, NumericStage, Price, Published, Stage
@@ -95,6 +97,9 @@ class MultiStage:
     regularisation
         Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed
         and is not part of any reported cost. By default the objective's own.
+    elastic
+        Prices at which limits give way, so that there is always a solution; see :class:`Elastic`.
+        By default every limit is hard.
     devices
         Devices for kinds of components that no plugin provides, or in place of a plugin's.
     solver, options
@@ -126,6 +131,7 @@ class MultiStage:
         generator_delay: int = 0,
         end: End | None = None,
         regularisation: float | None = None,
+        elastic: Elastic | None = None,
         devices: Iterable[Device] = (),
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
@@ -148,6 +154,7 @@ class MultiStage:
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = self.objective.regularisation if regularisation is None else regularisation
+        self.elastic = elastic
         self.devices = make_devices(self.arrays, devices)
         self.solver = solver
         self.options = dict(options or {})
@@ -208,13 +215,35 @@ class MultiStage:
         limits = _limit(name, "at_least", at_least, -np.inf), _limit(name, "at_most", at_most, np.inf)
         self._constraints[name] = _Own(constraint, *limits)
 
+    def elastic_twin(self, prices: Elastic | None = None) -> MultiStage:
+        """The same problem with limits that give way at a price, to tell what it lacks.
+
+        Examples
+        --------
+        >>> import opfmodel as om
+        >>> grid = om.Network("one-bus")
+        >>> grid.bus = om.Bus()
+        >>> grid.unit = om.Generator("bus", p=(0, 40), cost=om.Polynomial(0, 20, 0))
+        >>> grid.town = om.Load("bus", p=50)
+        >>> problem = om.MultiStage(grid)
+        >>> problem.solve().optimal
+        False
+        >>> print(problem.elastic_twin().solve().shortages[0])
+        bus bus lacks 10.0 MW at hour 0
+        """
+        twin = copy(self)
+        vars(twin).pop("_compiled", None)
+        twin.elastic = Elastic() if prices is None else prices
+        return twin
+
     @property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each published quantity."""
         model = self.model
         named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
+        slacks = {name: (s.soft.unit, s.phrase.format("so much")) for name, s in model.slacks.items()}
         injections = {i.name: (i.unit, i.description) for i in model.injections}
-        return {name: (p.unit, p.description) for name, p in named.items()} | injections
+        return slacks | {name: (p.unit, p.description) for name, p in named.items()} | injections
 
     def window(self, start: int, stages: int) -> PerUnitNetwork:
         """The network with the time series of the steps from ``start`` on.
@@ -259,6 +288,7 @@ class MultiStage:
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
             series={*self.profiles.fields(self.arrays), *own},
+            elastic=self.elastic,
         )
         self.formulation.declare(model)
         for device in self.devices:
@@ -342,6 +372,10 @@ class MultiStage:
             )
         rows = model.build.constrain(_rows_of(name), stated)
         items, stages = rows.index.shape
+        entries, timed = np.arange(items), stages == self.horizon
+        soft = Soft(entries, "", "is missed by {}", "is exceeded by {}", timed=timed)
+        limits = (own.lower, own.upper) if own.limited else (stated.lower, stated.upper)
+        model.soften("constraint", rows, soft, *limits)
         if stages != self.horizon:  # of some stages only: no price by stage
             if own.limited:
                 raise ModelError(
@@ -362,6 +396,7 @@ class MultiStage:
         initial: Initial | None = None,
         previous: Plan | None = None,
         end: End | None = None,
+        expected: Mapping[tuple[str, str], Array] | None = None,
     ) -> Plan:
         """Solve for the stages from ``time`` on.
 
@@ -377,6 +412,9 @@ class MultiStage:
             An earlier plan of this problem to start from; it is shifted by the difference in time.
         end
             Something else to ask at the end of the horizon, for this solve.
+        expected
+            Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
+            in place of those that the profiles have: a forecast, say.
 
         Returns
         -------
@@ -385,7 +423,7 @@ class MultiStage:
         """
         model, program, session = self._compiled
         end = self.end if end is None else end
-        network = self.window(time, self.horizon)
+        network = self.window(time, self.horizon).with_series(expected or {})
         numbers = _Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
@@ -475,7 +513,7 @@ class _Numbers:
                 lower, upper = self._bounds(f"{name}_cyclic")
                 lower[:] = upper[:] = 0.0
             if end.minimum > 0:
-                lower, upper = self._bounds(name)
+                lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
                 lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
             self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
 
@@ -577,7 +615,7 @@ class _PhysicalQuantities:
 
 
 def _start(previous: Plan | None, time: int) -> Start | None:
-    if previous is None or not previous.solution.status.is_optimal:
+    if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
     return previous.solution.shifted(time - previous.time)
 
@@ -681,16 +719,65 @@ class Plan:
             values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
         return values
 
-    def next_state(self) -> dict[str, Array]:
-        """The states after the first stage has been applied, in physical units."""
+    def exceeded(self) -> dict[tuple[str, str], Array]:
+        """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
+        network, stages = self._network, self.problem.horizon
+        return {
+            (slack.kind, name): slack.spread(
+                slack.amount(self.solution.value(name), network), len(network.tables[slack.kind]), stages
+            )
+            for name, slack in self._model.slacks.items()
+            if slack.kind in network.tables and name not in self._model.reported
+        }
+
+    @cached_property
+    def shortages(self) -> tuple[Shortage, ...]:
+        """What an elastic problem lacks, the dearest first; nothing where every limit is hard."""
+        prices = self.problem.elastic
+        if prices is None:
+            return ()
+        slacks, step = self._model.slacks.values(), self.problem.step
+        return shortages(slacks, self.solution.value, self._network, prices, step, self.times)
+
+    def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
+        """The states after the first stage has been applied, in physical units.
+
+        Parameters
+        ----------
+        happened
+            Per-unit values ``(items,)`` by ``(kind, name)`` of the first stage, if it was not what was
+            planned. A dispatch that is committed one stage ahead stays as planned.
+        """
         out = {}
+        committed = self.problem.generator_delay == 1
         for state in self._model.states.values():
-            moment = 1 if state.role == "stock" or self.problem.generator_delay == 1 else 0
-            values = self.solution.value(state.name) if state.role == "dispatch" else self._points(state.name)
-            if moment >= values.shape[1]:
+            name = f"{state.name}_next" if state.role == "stock" else state.name
+            if happened is not None and (state.role == "stock" or not committed):
+                values = happened[state.kind, name]
+            elif state.role == "stock" or not committed:
+                values = self.solution.value(name)[:, 0]
+            elif self.problem.horizon == 1:
                 raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
-            out[state.name] = values[:, moment] * scale(state.unit, self._network.base_mva)
+            else:
+                values = self.solution.value(name)[:, 1]
+            out[state.name] = values * scale(state.unit, self._network.base_mva)
         return out
+
+    def stocks(self) -> dict[str, Array]:
+        """The stocks that the plan starts from, in physical units."""
+        return {
+            state.name: self._points(state.name)[:, 0] * scale(state.unit, self._network.base_mva)
+            for state in self._model.states.values()
+            if state.role == "stock"
+        }
+
+    def decisions(self) -> list[tuple[str, str]]:
+        """Published quantities, by ``(kind, name)``, that are variables: neither stocks nor results."""
+        return [
+            (p.kind, name)
+            for name, p in self._model.published.items()
+            if name in self.solution.program.variables and name not in self.stocks()
+        ]
 
     def _points(self, name: str) -> Array:
         return self.solution.program.variables[name].read(self.solution.x)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from opfmodel.components import Load
+from opfmodel.elastic import Slack
 from opfmodel.model import Device, Model
 from opfmodel.network import Table
+from solvers import Expression
 
 __all__ = ["LoadDevice"]
 
 
 class LoadDevice(Device):
-    """Demand ``p + jq`` that is served as it is; a parameter of every solve."""
+    """Demand ``p + jq`` that is served as it is; a parameter of every solve.
+
+    In an elastic problem a share of each load may be left unserved, active and reactive alike, at
+    the price of shedding times its apparent power.
+    """
 
     component = Load
 
@@ -18,3 +26,21 @@ class LoadDevice(Device):
         """Withdraw the demand from its bus."""
         p, q = model.parameter("load", "p"), model.parameter("load", "q")
         model.inject(table.bus, p=-p, q=-q)
+        if model.elastic is not None:
+            self._shed(model, table, p, q)
+
+    @staticmethod
+    def _shed(model: Model, table: Table, p: Expression, q: Expression) -> None:
+        """Leave a share of each load unserved."""
+        share = model.variable("load", "unserved", 0.0, 1.0, unit="", start=0.0, publish=False)
+        active, reactive = p * share, q * share
+        model.inject(table.bus, p=active, q=reactive)
+        soft = model.soft_balance(table.bus, "MW", "shedding")
+        apparent = np.sqrt(p**2 + q**2) if model.reactive else np.sqrt(p**2)
+        model.build.minimize(model.penalty(soft) * apparent * share)
+        model.report("load", "p_unserved", active, unit="MW", description="active demand not served")
+        if model.reactive:
+            model.report(
+                "load", "q_unserved", reactive, unit="MVAr", description="reactive demand not served"
+            )
+        model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below)

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.formulations.base import Formulation, angles, limit_angle, publish_flows, shunts, transport
+from opfmodel.formulations.base import (
+    Formulation,
+    angles,
+    limit_angle,
+    publish_flows,
+    shunts,
+    soft_voltage,
+    transport,
+)
 from opfmodel.model import Model
 from opfmodel.physics import branch_flow, polar_products
 
@@ -33,8 +41,9 @@ class AC(Formulation):
         bus, branch = network.bus, network.branch
         start = np.clip(1.0, bus.vm_min, bus.vm_max)
         vm = model.variable(
-            "bus", "vm", "vm_min", "vm_max", unit="p.u.", start=start, description="voltage magnitude"
-        )
+            "bus", "vm", "vm_min", "vm_max",
+            unit="p.u.", start=start, description="voltage magnitude", soft=soft_voltage(model),
+        )  # fmt: skip
         va = angles(model)
         shunts(model, vm**2)
         f, t = branch.from_bus, branch.to_bus

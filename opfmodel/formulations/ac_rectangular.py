@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.formulations.base import Formulation, limit_products, publish_flows, shunts, transport
+from opfmodel.formulations.base import (
+    Formulation,
+    limit_products,
+    publish_flows,
+    shunts,
+    soft_voltage,
+    transport,
+)
 from opfmodel.model import Model
 from opfmodel.physics import branch_flow, rectangular_products
 from solvers import Expression
@@ -35,7 +42,7 @@ class ACRectangular(Formulation):
         reference = np.zeros(len(bus), dtype=bool)
         reference[network.reference] = True
         start = np.clip(1.0, bus.vm_min, bus.vm_max)
-        most = bus.vm_max
+        most = bus.vm_max if model.elastic is None else np.full(len(bus), np.inf)
         vr = model.variable(
             "bus", "vr", np.where(reference, 0.0, -most), most, unit="p.u.", start=start, publish=False
         )
@@ -44,7 +51,8 @@ class ACRectangular(Formulation):
             unit="p.u.", start=0.0, publish=False,
         )  # fmt: skip
         w = vr**2 + vi**2
-        model.rows("bus", "vm_squared", w, lambda t: t.vm_min**2, lambda t: t.vm_max**2)
+        soft = soft_voltage(model, squared=True)
+        model.rows("bus", "vm_squared", w, lambda t: t.vm_min**2, lambda t: t.vm_max**2, soft)
         model.publish("bus", "vm", np.sqrt(w), unit="p.u.", description="voltage magnitude")
         angle: Expression = np.arctan2(vi, vr)  # type: ignore[call-overload]
         model.publish("bus", "va", angle, unit="deg", description="voltage angle")

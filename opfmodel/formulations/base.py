@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.elastic import Soft
 from opfmodel.errors import ModelError
 from opfmodel.model import Model
 from opfmodel.network import Array, Index, PerUnitNetwork, Table
@@ -22,6 +23,8 @@ __all__ = [
     "price_rating",
     "publish_flows",
     "shunts",
+    "soft_rating",
+    "soft_voltage",
     "transport",
 ]
 
@@ -115,8 +118,9 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
                 rating: npt.NDArray[np.float64] = table.rating
                 return rating[members] ** 2
 
+            soft = soft_rating(members, squared=True)
             for name, power in (("rating_from", flows[:2]), ("rating_to", flows[2:])):
-                rows.append(model.limit("branch", name, members.size, -np.inf, square))
+                rows.append(model.limit("branch", name, members.size, -np.inf, square, soft))
                 terms.append(power[0] ** 2 + power[1] ** 2)
 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
@@ -133,8 +137,11 @@ def limit_flows(model: Model, **flows: Expression) -> None:
     members = np.flatnonzero(np.isfinite(model.network.branch.rating))
     if not members.size:
         return
+    soft = soft_rating(members, ends=len(flows))
     for name, flow in flows.items():
-        model.rows("branch", name, flow[members], lambda t: -t.rating[members], lambda t: t.rating[members])
+        model.rows(
+            "branch", name, flow[members], lambda t: -t.rating[members], lambda t: t.rating[members], soft
+        )
 
     def read(solution: Solution, _: PerUnitNetwork) -> Array:
         return np.asarray(np.sum([np.abs(solution.dual(name)) for name in flows], axis=0))
@@ -163,6 +170,7 @@ def limit_angle(model: Model, angle: Expression) -> None:
             angle[members],
             lambda table: table.angle_min[members],
             lambda table: table.angle_max[members],
+            _soft_angle(members),
         )
 
 
@@ -189,8 +197,26 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
     real, imaginary = w_r[members], w_i[members]
     above = np.cos(low) * imaginary - np.sin(low) * real
     below = np.cos(high) * imaginary - np.sin(high) * real
-    model.rows("branch", "angle_above", above, 0.0, np.inf)
-    model.rows("branch", "angle_below", below, -np.inf, 0.0)
+    soft = _soft_angle(members)  # in products of voltages near 1 p.u. the excess is that of the angle
+    model.rows("branch", "angle_above", above, 0.0, np.inf, soft)
+    model.rows("branch", "angle_below", below, -np.inf, 0.0, soft)
+
+
+def soft_voltage(model: Model, squared: bool = False) -> Soft:
+    """How the voltage limits of all buses give way in an elastic problem."""
+    buses = np.arange(len(model.network.bus))
+    below, above = "is {} below its least voltage", "is {} over its largest voltage"
+    return Soft(buses, "p.u.", below, above, squared=squared)
+
+
+def soft_rating(members: Index, squared: bool = False, ends: int = 2) -> Soft:
+    """How the ratings of branches, stated at one end or both, give way in an elastic problem."""
+    phrase = "exceeds its rating by {}"
+    return Soft(members, "MVA", phrase, phrase, squared=squared, share=1.0 / ends)
+
+
+def _soft_angle(members: Index) -> Soft:
+    return Soft(members, "deg", "is {} below its least angle", "is {} over its largest angle")
 
 
 def _angle_limited(model: Model) -> Index:

@@ -8,7 +8,14 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from opfmodel.formulations.base import Formulation, limit_products, price_rating, publish_flows, shunts
+from opfmodel.formulations.base import (
+    Formulation,
+    limit_products,
+    price_rating,
+    publish_flows,
+    shunts,
+    soft_rating,
+)
 from opfmodel.model import Model
 from opfmodel.network import Index, PerUnitNetwork
 from opfmodel.physics import Array, branch_flow
@@ -73,8 +80,12 @@ class SOC(Formulation):
         limited = np.flatnonzero(np.isfinite(branch.rating))
         if limited.size:
             rating = model.field("branch", "rating")[limited]
-            model.build.cone("rating_from", rating, flows[0][limited], flows[1][limited])
-            model.build.cone("rating_to", rating, flows[2][limited], flows[3][limited])
+            for name, p, q in (("rating_from", *flows[:2]), ("rating_to", *flows[2:])):
+                bound = rating
+                if model.elastic is not None:
+                    soft = soft_rating(limited)
+                    bound = model.slack("branch", f"{name}_above", soft, soft.above) + rating
+                model.build.cone(name, bound, p[limited], q[limited])
 
             def read(solution: Solution, _: PerUnitNetwork) -> Array:
                 both: Array = solution.cone_dual("rating_from")[0] + solution.cone_dual("rating_to")[0]

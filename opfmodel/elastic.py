@@ -1,0 +1,235 @@
+"""Limits that give way at a price: what an elastic problem is, and how it says what is short."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError
+from opfmodel.units import scale
+
+if TYPE_CHECKING:
+    from opfmodel.network import PerUnitNetwork, Table
+
+__all__ = ["Elastic", "Shortage", "Slack", "Soft", "shortages"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Class = Literal["limit", "shedding", "balance"]
+
+_LEAST = 1e-5  # p.u.; below it a slack is the solver's tolerance, not a shortage
+_TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """Prices at which the limits of a problem give way, so that it always has a solution.
+
+    A price of 1 p.u. of anything (power, voltage, angle in radians, energy) for one hour is the
+    price below times ``base_mva``, so that 0.01 p.u. of voltage costs as much as 1 MW on 100 MVA.
+
+    Parameters
+    ----------
+    limit
+        Of ratings, voltages, angles, ramps and constraints of one's own, $/MWh.
+    shedding
+        Of demand that is not served, $/MWh.
+    balance
+        Of power that comes from nowhere or vanishes, active or reactive, and of energy outside a
+        store's limits, $/MWh. The highest, for nothing in a grid corresponds to it.
+    """
+
+    limit: float = 5_000.0
+    shedding: float = 10_000.0
+    balance: float = 20_000.0
+
+    def __post_init__(self) -> None:
+        for name in ("limit", "shedding", "balance"):
+            price = getattr(self, name)
+            if not isinstance(price, int | float) or not 0 < price < np.inf:
+                raise ModelError(f"elastic: {name} = {price!r}: must be a positive price in $/MWh")
+
+
+@dataclass(frozen=True)
+class Soft:
+    """How a limit gives way in an elastic problem.
+
+    Attributes
+    ----------
+    members
+        Positions of the components that the rows belong to.
+    unit
+        Physical unit of what is exceeded.
+    below, above
+        What to say of a component under its lower or over its upper limit, with ``{}`` for the amount.
+    price
+        Which price of :class:`Elastic` counts.
+    squared
+        Whether the rows limit the square of the quantity.
+    share
+        Part of the price that each row bears, where several rows state one limit.
+    first
+        Stage of the first column of the rows; -1 for values at the ends of stages.
+    noun
+        What the components are called; their kind by default.
+    timed
+        Whether the columns of the rows are stages; what is said of the others names no hour.
+    """
+
+    members: Index
+    unit: str
+    below: str = ""
+    above: str = ""
+    price: Class = "limit"
+    squared: bool = False
+    share: float = 1.0
+    first: int = 0
+    noun: str = ""
+    timed: bool = True
+
+
+@dataclass(frozen=True)
+class Slack:
+    """A variable of an elastic problem that is positive where a limit is exceeded.
+
+    Attributes
+    ----------
+    block
+        Name of the variable block.
+    bound
+        Gives the limit itself, p.u., ``(items, 1)`` or ``(items, stages)``; only for limits on squares.
+    """
+
+    block: str
+    kind: str
+    soft: Soft
+    phrase: str
+    bound: Callable[[Table], Array] | None = None
+
+    def amount(self, values: Array, network: PerUnitNetwork) -> Array:
+        """What the limit is exceeded by, p.u., from the values of the variable."""
+        if self.bound is None:
+            return values
+        sign = 1.0 if self.phrase == self.soft.above else -1.0
+        bound = self.bound(network.tables[self.kind])
+        return np.asarray(sign * (np.sqrt(np.maximum(bound**2 + sign * values, 0.0)) - bound))
+
+    def parts(self, values: Array, network: PerUnitNetwork) -> list[tuple[str, Array]]:
+        """What to say of positive and of negative values, and how large they are, p.u."""
+        amounts = self.amount(values, network)
+        other = self.soft.above if self.phrase == self.soft.below else self.soft.below
+        return [(self.phrase, np.maximum(amounts, 0.0)), (other, np.maximum(-amounts, 0.0))]
+
+    def spread(self, amounts: Array, items: int, stages: int) -> Array:
+        """Amounts of all components of the kind in all stages, ``(items, stages)``."""
+        out = np.zeros((items, stages))
+        kept = slice(max(-self.soft.first, 0), None)
+        amounts = amounts[:, kept]
+        first = max(self.soft.first, 0)
+        np.add.at(out[:, first : first + amounts.shape[1]], self.soft.members, amounts)
+        return out
+
+
+@dataclass(frozen=True)
+class Shortage:
+    """One component that is short of something, in one or several stages.
+
+    Attributes
+    ----------
+    kind, component
+        Of what, by name.
+    phrase
+        What happens, with ``{}`` for the amount.
+    unit
+        Unit of ``amounts``.
+    amounts
+        By stage, in the physical unit.
+    hours
+        Hour at which each stage begins; empty if the amounts are not of stages.
+    step
+        Hours per stage.
+    cost
+        What it costs at the prices of the elastic problem, $.
+    """
+
+    kind: str
+    component: str
+    phrase: str
+    unit: str
+    amounts: Array
+    hours: Array
+    step: float
+    cost: float
+
+    @property
+    def worst(self) -> float:
+        """Largest amount over the stages."""
+        return float(self.amounts.max())
+
+    def __str__(self) -> str:
+        short = np.flatnonzero(self.amounts > 1e-3 * self.worst)
+        phrase = self.phrase.format(f"{_figure(self.worst)} {self.unit}".strip())
+        text = f"{self.kind} {self.component} {phrase}"
+        if not self.hours.size:
+            return text
+        text += f" at hour {self.hours[np.argmax(self.amounts)]:g}"
+        if short.size > 1:
+            total = ""
+            if self.unit in _TOTALS:
+                total = f", {_figure(float(self.amounts.sum()) * self.step)} {_TOTALS[self.unit]} in all"
+            text += f" ({short.size} stages short{total})"
+        return text
+
+
+def shortages(
+    slacks: Iterable[Slack],
+    value: Callable[[str], Array],
+    network: PerUnitNetwork,
+    prices: Elastic,
+    step: float,
+    hours: Array,
+) -> tuple[Shortage, ...]:
+    """What the components of a network are short of, the dearest first.
+
+    Parameters
+    ----------
+    value
+        Gives the values of a slack's block, ``(items, stages)`` in p.u.
+    hours
+        Hour at which each stage begins.
+    """
+    amounts: dict[tuple[str, str, str, str, str], Array] = {}
+    untimed = set()
+    for slack in slacks:
+        for phrase, part in slack.parts(value(slack.block), network):
+            table = network.tables.get(slack.kind)
+            size = int(slack.soft.members.max(initial=-1)) + 1 if table is None else len(table)
+            own = slack.block.rpartition("_")[0].removeprefix(f"{slack.kind} ")
+            names = [own] * size if table is None else list(table.names)
+            spread = slack.spread(part, size, hours.size) if slack.soft.timed else part
+            for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > _LEAST):
+                key = (slack.soft.noun or slack.kind, names[item], phrase, slack.soft.unit, slack.soft.price)
+                known = amounts.get(key, np.zeros(spread.shape[1]))
+                if not slack.soft.timed:
+                    untimed.add(key)
+                # both ends of a branch have one rating; what several loads of a bus lack adds up
+                join = np.maximum if slack.soft.price == "limit" else np.add
+                amounts[key] = join(known, spread[item])
+    made = []
+    for whose, values in amounts.items():
+        kind, component, phrase, unit, sort = whose
+        cost = float(getattr(prices, sort)) * float(values.sum()) * step
+        cost *= network.base_mva if unit else 1.0
+        physical = values * scale(unit, network.base_mva)
+        moments = hours[:0] if whose in untimed else hours
+        made.append(Shortage(kind, component, phrase, unit, physical, moments, step, cost))
+    return tuple(sorted(made, key=lambda shortage: -shortage.cost))
+
+
+def _figure(value: float) -> str:
+    """Three or four significant digits, without an exponent."""
+    return f"{value:,.1f}" if value > 9.995 else f"{value:.3g}"
