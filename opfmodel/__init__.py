@@ -28,7 +28,9 @@ if TYPE_CHECKING:
         Shunt,
         Storage,
     )
+    from opfmodel.elastic import Elastic
     from opfmodel.errors import OpfmodelError
+    from opfmodel.forecasts import Forecast
     from opfmodel.objectives.base import Objective
     from opfmodel.objectives.economic import Economic
     from opfmodel.objectives.linear_quadratic import LinearQuadratic
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
     from opfmodel.profiles.series import Profiles
     from opfmodel.scenario import Scenario, load_scenario
     from opfmodel.sequence import SingleStageSequence, single_stage_sequence
-    from opfmodel.simulation import Controller, NominalPlant, Run, simulate
+    from opfmodel.simulation import Controller, NominalPlant, Plant, PowerFlow, Redispatch, Run, simulate
     from solvers.expression import largest, total
 
 # Public names and where they live; imported at first use, so that "import opfmodel" stays light.
@@ -58,7 +60,9 @@ _HOMES = {
         "Shunt",
         "Storage",
     ),
+    "opfmodel.elastic": ("Elastic",),
     "opfmodel.errors": ("OpfmodelError",),
+    "opfmodel.forecasts": ("Forecast",),
     "opfmodel.objectives.base": ("Objective",),
     "opfmodel.objectives.economic": ("Economic",),
     "opfmodel.objectives.linear_quadratic": ("LinearQuadratic",),
@@ -74,7 +78,15 @@ _HOMES = {
     "opfmodel.profiles.series": ("Profiles",),
     "opfmodel.scenario": ("Scenario", "load_scenario"),
     "opfmodel.sequence": ("SingleStageSequence", "single_stage_sequence"),
-    "opfmodel.simulation": ("Controller", "NominalPlant", "Run", "simulate"),
+    "opfmodel.simulation": (
+        "Controller",
+        "NominalPlant",
+        "Plant",
+        "PowerFlow",
+        "Redispatch",
+        "Run",
+        "simulate",
+    ),
     "solvers.expression": ("largest", "total"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -84,7 +96,9 @@ __all__ = [
     "Bus",
     "Controller",
     "Economic",
+    "Elastic",
     "End",
+    "Forecast",
     "Generator",
     "LinearQuadratic",
     "Load",
@@ -96,8 +110,11 @@ __all__ = [
     "OpfmodelError",
     "PiecewiseLinear",
     "Plan",
+    "Plant",
     "Polynomial",
+    "PowerFlow",
     "Profiles",
+    "Redispatch",
     "Run",
     "Scenario",
     "SetpointTracking",

@@ -19,6 +19,7 @@ GROUPS = {
     "formulation": "opfmodel.formulations",
     "device": "opfmodel.devices",
     "profile": "opfmodel.profiles",
+    "forecast": "opfmodel.forecasts",
 }
 
 # What a plugin must be a subclass of; by name, because these live in layers above.
@@ -27,6 +28,7 @@ _BASES = {
     "formulation": "opfmodel.formulations.base:Formulation",
     "device": "opfmodel.model:Device",
     "profile": "opfmodel.profiles.base:ProfileRule",
+    "forecast": "opfmodel.forecasts.base:Forecast",
 }
 
 # Where a class says its own name, which must be that of its entry point: results and networks use it.

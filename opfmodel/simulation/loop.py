@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.elastic import Elastic
 from opfmodel.errors import ModelError
+from opfmodel.forecasts.base import Forecast
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.results import dataset
+from opfmodel.simulation.plants import NominalPlant, Plant, Step
+from opfmodel.simulation.records import summarise
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Controller", "NominalPlant", "Plant", "Run", "Step", "simulate"]
+__all__ = ["Controller", "OnInfeasible", "Run", "simulate"]
 
 Array = npt.NDArray[np.float64]
-State = Mapping[str, Array]
+OnInfeasible = Literal["stop", "elastic"]
 
 
 class Controller:
@@ -33,11 +37,29 @@ class Controller:
     Parameters
     ----------
     problem
-        The multi-stage problem that is solved at every step.
+        The multi-stage problem that is solved at every step. Its profiles are what happens.
+    forecast
+        What is expected of the profiles instead; what happens by default.
+    on_infeasible
+        What to do when a problem has no solution: ``stop``, or ``elastic``: plan with limits that give
+        way at a price.
+    elastic
+        Those prices.
     """
 
-    def __init__(self, problem: MultiStage) -> None:
+    def __init__(
+        self,
+        problem: MultiStage,
+        forecast: Forecast | None = None,
+        on_infeasible: OnInfeasible = "stop",
+        elastic: Elastic | None = None,
+    ) -> None:
+        if on_infeasible not in get_args(OnInfeasible):
+            raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
         self.problem = problem
+        self.forecast = forecast
+        self.on_infeasible = on_infeasible
+        self.elastic = Elastic() if elastic is None else elastic
         self._last: Plan | None = None
 
     def plan(self, time: int, state: Initial | None) -> Plan:
@@ -45,45 +67,31 @@ class Controller:
 
         A warm start that fails is repeated cold before the failure is accepted.
         """
+        expected = self._expected(time)
         previous = self._last
-        plan = self.problem.solve(time, state, previous)
+        plan = self.problem.solve(time, state, previous, expected=expected)
         if not plan.optimal and previous is not None:
-            plan = self.problem.solve(time, state)
+            plan = self.problem.solve(time, state, expected=expected)
         self._last = plan if plan.optimal else None
+        if not plan.optimal and self.on_infeasible == "elastic":
+            plan = self._twin.solve(time, state, expected=expected)
         return plan
 
+    @cached_property
+    def _twin(self) -> MultiStage:
+        return self.problem.elastic_twin(self.elastic)
 
-@dataclass(frozen=True)
-class Step:
-    """What happened in one step.
-
-    Attributes
-    ----------
-    values
-        Per-unit values ``(items,)`` by ``(kind, quantity)``.
-    state
-        The state at the next step, in physical units.
-    """
-
-    values: Mapping[tuple[str, str], Array]
-    state: State
-
-
-class Plant(Protocol):
-    """Answers a plan: what the grid does in the first stage, and the next state."""
-
-    def apply(self, plan: Plan) -> Step:
-        """Apply the first stage of a plan."""
-        ...
-
-
-class NominalPlant:
-    """The grid does exactly what was planned."""
-
-    def apply(self, plan: Plan) -> Step:
-        """Take the first stage of the plan as what happened."""
-        values = {key: value[:, 0] for key, value in {**plan.quantities(), **plan.prices()}.items()}
-        return Step(values, plan.next_state())
+    def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
+        """What is expected of the stages ahead, in per unit; None for what happens."""
+        if self.forecast is None:
+            return None
+        problem = self.problem
+        expected = self.forecast.expected(problem.profiles, time, problem.horizon)
+        window = expected.window(problem.arrays, 0, problem.horizon)
+        if ("generator", "p_max") in window:  # a unit that runs can at least do that
+            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min[:, None])
+            window["generator", "p_max"] = np.maximum(window["generator", "p_max"], least)
+        return window
 
 
 @dataclass
@@ -115,8 +123,12 @@ class Run:
     def _stage(self) -> NumericStage:
         """The realised quantities as numbers in per unit."""
         network = self.problem.window(0, len(self.steps))
-        keys = self.steps[0].values if self.steps else {}
-        values = {key: np.column_stack([step.values[key] for step in self.steps]) for key in keys}
+        # what limits are exceeded by is there only in the steps of an elastic plan
+        absent = {key: np.zeros_like(value) for step in self.steps for key, value in step.values.items()}
+        values = {
+            key: np.column_stack([step.values.get(key, zero) for step in self.steps])
+            for key, zero in absent.items()
+        }
         return NumericStage(network, self.problem.step, values, self.problem.devices)
 
     @property
@@ -135,16 +147,24 @@ class Run:
     @cached_property
     def data(self) -> xr.Dataset:
         """Realised trajectories in physical units and the effort of each step."""
-        stage, described = self._stage, self.problem.described
+        stage = self._stage
+        described = {name: text for step in self.steps for name, text in step.described.items()}
         quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
         made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
         made["cost_rate"] = ("time", self.cost_rate, {"units": "$/h", "long_name": "stage cost"})
         for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
             values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
             made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
+        for key, words in (
+            ("plan_status", [plan["status"] for plan in self.plans[: len(self.steps)]]),
+            ("plant_status", [step.status for step in self.steps]),
+        ):
+            made[key] = ("time", np.array(words, dtype=str), {"long_name": key.replace("_", " ")})
+        controller = self.problem.formulation.name
         made.attrs |= {
             "network": self.problem.network.name,
-            "formulation": self.problem.formulation.name,
+            "formulation": self.steps[-1].formulation if self.steps else controller,
+            "controller_formulation": controller,
             "objective": type(self.problem.objective).__name__,
             "status": self.status,
             "termination": self.termination,
@@ -166,6 +186,11 @@ class Run:
             "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
             "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
             "iterations_mean": float(np.mean(iterations)) if iterations else None,
+            "elastic_steps": sum(plan["status"] == "elastic" for plan in self.plans),
+            "diagnosis": {
+                str(step): plan["diagnosis"] for step, plan in enumerate(self.plans) if plan["diagnosis"]
+            },
+            **summarise(self.problem, self.steps),
         }
 
 
@@ -176,6 +201,7 @@ def simulate(
     *,
     initial: Initial | None = None,
     objective: Objective | None = None,
+    on_infeasible: OnInfeasible | None = None,
     progress: bool = False,
     on_step: Callable[[Run], None] | None = None,
 ) -> Run:
@@ -193,6 +219,8 @@ def simulate(
         State at the first step, in physical units; see :meth:`MultiStage.solve`.
     objective
         What the realised cost is metered with; the controller's own objective by default.
+    on_infeasible
+        ``stop``, the default, or ``elastic``, where a problem is given in place of a controller.
     progress
         Whether to show a progress bar on standard error.
     on_step
@@ -204,7 +232,9 @@ def simulate(
         Also if a plan failed or the user pressed Ctrl-C: then with the steps done so far.
     """
     if isinstance(controller, MultiStage):
-        controller = Controller(controller)
+        controller = Controller(controller, on_infeasible=on_infeasible or "stop")
+    elif on_infeasible is not None:
+        raise ModelError(f"on_infeasible = {on_infeasible!r}: a controller has its own; state it there")
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
         raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
     plant = NominalPlant() if plant is None else plant
@@ -241,8 +271,10 @@ def simulate(
 
 
 def _record(plan: Plan, seconds: float) -> dict[str, Any]:
+    elastic = plan.problem.elastic is not None and plan.optimal
     return {
-        "status": plan.status,
+        "status": "elastic" if elastic else plan.status,
+        "diagnosis": [str(shortage) for shortage in plan.shortages] if elastic else [],
         "termination": plan.termination,
         "solve_seconds": plan.solution.seconds,
         "step_seconds": seconds,

@@ -1,0 +1,16 @@
+"""Knowing what happens."""
+
+from __future__ import annotations
+
+from opfmodel.forecasts.base import Forecast, part
+from opfmodel.profiles.series import Profiles
+
+__all__ = ["Perfect"]
+
+
+class Perfect(Forecast):
+    """Exactly what happens."""
+
+    def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
+        """What happens."""
+        return Profiles(part(actual, time, stages))

@@ -1,0 +1,42 @@
+"""Expecting that it goes on as it was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.errors import ProfileError
+from opfmodel.forecasts.base import FORECAST_FIELDS, Forecast, part
+from opfmodel.profiles.series import Profiles
+
+__all__ = ["Persistence"]
+
+
+class Persistence(Forecast):
+    r"""What was last observed, or the same hour of the day before.
+
+    .. math::
+        \hat d(t + h) = d(t - P + (h \bmod P)), \qquad h = 0, 1, \dots
+
+    with the period P. The step that is about to begin has not been observed yet. Before the first
+    period is over its own values stand for the missing ones.
+
+    Parameters
+    ----------
+    period
+        Steps after which things repeat: 1 for the last value, 24 for the day before in hours.
+    fields
+        Fields that are forecast, of loads and generators; others are known.
+    """
+
+    def __init__(self, period: int = 1, fields: tuple[str, ...] = FORECAST_FIELDS) -> None:
+        if period < 1:
+            raise ProfileError(f"persistence: period = {period}: must be a number of steps, at least 1")
+        self.period = period
+        self.fields = fields
+
+    def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
+        """The values of one period before."""
+        seen = time - self.period + np.arange(stages) % self.period
+        seen = np.where(seen < 0, seen + self.period, seen)
+        held = {key: values[seen] for key, values in actual.series.items() if key[1] in self.fields}
+        return Profiles({**part(actual, time, stages), **held})

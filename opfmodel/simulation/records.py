@@ -1,0 +1,127 @@
+"""What is measured in every step: limits that are exceeded, changes of set-points, energy not served."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.network import PerUnitNetwork, Table
+from opfmodel.units import scale
+
+if TYPE_CHECKING:
+    from opfmodel.plan import MultiStage
+    from opfmodel.simulation.plants import Step
+
+__all__ = ["DESCRIBED", "changes", "excesses", "summarise"]
+
+Array = npt.NDArray[np.float64]
+Values = Mapping[tuple[str, str], Array]
+
+# Unit and description of everything that is measured.
+DESCRIBED = {
+    "vm_excess": ("p.u.", "voltage outside its limits"),
+    "flow_excess": ("MVA", "apparent power above the rating, at the worse end"),
+    "angle_excess": ("deg", "angle difference outside its limits"),
+    "pg_excess": ("MW", "active generation outside its limits"),
+    "qg_excess": ("MVAr", "reactive generation outside its limits"),
+    "ramp_excess": ("MW", "change of generation above the ramp"),
+    "e_excess": ("MWh", "stored energy at the end of a stage outside its limits"),
+    "pg_redispatch": ("MW", "distance of generation from its set-point"),
+    "ps_redispatch": ("MW", "distance of charging power from its set-point"),
+    "pg_curtailed": ("MW", "available power that is not generated"),
+    "p_unserved": ("MW", "active demand not served"),
+    "q_unserved": ("MVAr", "reactive demand not served"),
+    "p_shortage": ("MW", "active power from nowhere"),
+    "p_surplus": ("MW", "active power that vanishes"),
+    "q_shortage": ("MVAr", "reactive power from nowhere"),
+    "q_surplus": ("MVAr", "reactive power that vanishes"),
+}
+_TOLERANCE = 1e-6  # p.u.; what a solver leaves is no violation
+
+
+def excesses(network: PerUnitNetwork, values: Values, step: float, before: Array | None) -> Values:
+    """By how much a state exceeds the limits of the network, p.u., ``(items,)``; 0 where it does not.
+
+    Parameters
+    ----------
+    network
+        With the limits of the stage.
+    before
+        Generation of the stage before, if ramps are to be measured.
+    """
+    bus, branch, generator = network.bus, network.branch, network.generator
+    ends = [np.hypot(values["branch", f"p{end}"], values["branch", f"q{end}"]) for end in "ft"]
+    angle = values["bus", "va"][branch.from_bus] - values["bus", "va"][branch.to_bus]
+    pg = values["generator", "pg"]
+    made = {
+        ("bus", "vm_excess"): _outside(values["bus", "vm"], bus, "vm_min", "vm_max"),
+        ("branch", "flow_excess"): np.maximum(np.maximum(*ends) - _now(branch, "rating"), 0.0),
+        ("branch", "angle_excess"): _outside(angle, branch, "angle_min", "angle_max"),
+        ("generator", "pg_excess"): _outside(pg, generator, "p_min", "p_max"),
+        ("generator", "qg_excess"): _outside(values["generator", "qg"], generator, "q_min", "q_max"),
+    }
+    change = np.zeros_like(pg) if before is None else np.abs(pg - before)
+    made["generator", "ramp_excess"] = np.maximum(change - step * _now(generator, "ramp"), 0.0)
+    if ("storage", "e_next") in values:
+        storage = network.storage
+        made["storage", "e_excess"] = _outside(values["storage", "e_next"], storage, "energy_min", "energy")
+    return made
+
+
+def changes(
+    network: PerUnitNetwork, values: Values, planned: Values, available: npt.NDArray[np.bool_]
+) -> Values:
+    """How far set-points were changed and how much of what was available was not used, p.u.
+
+    Parameters
+    ----------
+    available
+        Which generators have an availability: a time series of their largest power.
+    """
+    made = {
+        (kind, f"{name}_redispatch"): np.abs(values[kind, name] - planned[kind, name])
+        for kind, name in (("generator", "pg"), ("storage", "ps"))
+        if (kind, name) in planned
+    }
+    unused = np.maximum(_now(network.generator, "p_max") - values["generator", "pg"], 0.0)
+    made["generator", "pg_curtailed"] = np.where(available, unused, 0.0)
+    return made
+
+
+def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
+    """The measured quantities of a run in a few numbers; empty if nothing was measured."""
+    base, hours = problem.network.base_mva, problem.step
+    made: dict[str, Any] = {}
+    named = {name: (kind, name) for step in steps for kind, name in step.values if name in DESCRIBED}
+    for key, names in (
+        ("redispatched_mwh", ("pg_redispatch", "ps_redispatch")),
+        ("shed_mwh", ("p_unserved", "p_shortage")),
+        ("curtailed_mwh", ("pg_curtailed", "p_surplus")),
+    ):
+        present = [named[name] for name in names if name in named]
+        if present:
+            parts = [np.nansum(np.abs(s.values[k])) for s in steps for k in present if k in s.values]
+            made[key] = float(sum(parts)) * base * hours
+    exceeded = [key for name, key in named.items() if name.endswith("_excess")]
+    for kind, name in sorted(exceeded):
+        worst = max(float(np.nanmax(s.values[kind, name], initial=0.0)) for s in steps)
+        made[f"largest_{name}"] = worst * scale(DESCRIBED[name][0], base)
+    if exceeded:
+        broken = [max(float(np.nanmax(s.values[k], initial=0.0)) for k in exceeded) for s in steps]
+        made["violated_steps"] = sum(worst > _TOLERANCE for worst in broken)
+        made["unsolved_steps"] = sum(not step.solved for step in steps)
+    return made
+
+
+def _outside(values: Array, table: Table, lower: str, upper: str) -> Array:
+    """How far values lie outside their limits."""
+    return np.maximum(np.maximum(_now(table, lower) - values, values - _now(table, upper)), 0.0)
+
+
+def _now(table: Table, field: str) -> Array:
+    """A field of the only stage of a table."""
+    array: Array = table.arrays[field]
+    return array[:, 0] if array.ndim == 2 else array
