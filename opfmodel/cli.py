@@ -45,6 +45,13 @@ SET = Annotated[
 ]
 FORMULATION = Annotated[str | None, typer.Option(help="Formulation: ac, ...; 'opfmodel list' shows all.")]
 SOLVER = Annotated[str | None, typer.Option(help="Back end or solver: auto, ipopt, ...")]
+ON_INFEASIBLE = Annotated[
+    str | None,
+    typer.Option(
+        metavar="stop|elastic",
+        help="When a problem has no solution: stop, or let limits give way at a price.",
+    ),
+]
 HORIZON = Annotated[int | None, typer.Option(help="Number of stages.")]
 
 
@@ -107,11 +114,18 @@ def solve(
     ] = None,
     variant: VARIANT = None,
     set_: SET = None,
+    on_infeasible: ON_INFEASIBLE = None,
     json_: JSON = False,
     verbose: VERBOSE = False,
 ) -> int:
     """Solve one problem: of a network file its optimal power flow, of a scenario the first plan."""
-    problem, plan = _solve(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
+    _check_on_infeasible(on_infeasible)
+    problem, initial = _problem(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
+    with _solver_output(verbose):
+        plan = problem.solve(initial=initial)
+        diagnosis = []
+        if not plan.optimal and on_infeasible == "elastic":
+            diagnosis = [str(s) for s in problem.elastic_twin().solve(initial=initial).shortages]
     report = _verify(problem, plan)
     result = {
         "status": plan.status,
@@ -127,6 +141,7 @@ def solve(
         "variables": plan.solution.program.n_variables,
         "rows": plan.solution.program.n_rows,
         "notes": list(problem.notes),
+        "diagnosis": diagnosis,
     }
     if json_:
         print(json.dumps(result))
@@ -146,6 +161,7 @@ def solve(
                 **_unchecked(report.unchecked),
             }
         )
+        _print_diagnosis(diagnosis)
     return 0 if plan.optimal else 1
 
 
@@ -155,6 +171,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Folder of the results; results/NAME by default.")] = None,
     variant: VARIANT = None,
     set_: SET = None,
+    on_infeasible: ON_INFEASIBLE = None,
     json_: JSON = False,
     verbose: VERBOSE = False,
     figures: Annotated[bool, typer.Option(help="Draw the figure of the whole system.")] = True,
@@ -163,7 +180,9 @@ def run(
     from opfmodel import plot, results
     from opfmodel.check import check
 
-    loaded = _scenario(scenario, variant, set_)
+    _check_on_infeasible(on_infeasible)
+    changes = {} if on_infeasible is None else {"controller.on_infeasible": on_infeasible}
+    loaded = _scenario(scenario, variant, set_, changes)
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
     with _solver_output(verbose):
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose, verbose=verbose)
@@ -259,7 +278,7 @@ def plot_(
 
 @app.command("list")
 def list_(json_: JSON = False) -> int:
-    """List objectives, formulations, devices, profiles and back ends, with their origin."""
+    """List objectives, formulations, devices, profiles, forecasts and back ends, with their origin."""
     from opfmodel.catalogue import catalogue
 
     entries = catalogue()
@@ -279,7 +298,7 @@ def list_(json_: JSON = False) -> int:
 # Parts of the commands --------------------------------------------------------------------------
 
 
-def _solve(
+def _problem(
     file: Path,
     formulation: str | None,
     solver: str | None,
@@ -288,8 +307,8 @@ def _solve(
     variant: str | None,
     overrides: list[str] | None,
     verbose: bool,
-) -> tuple[MultiStage, Plan]:
-    """Make the problem of a file and solve it."""
+) -> tuple[MultiStage, Mapping[str, Any] | None]:
+    """The problem of a file and the state that it starts from."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
     from opfmodel.plan import MultiStage
@@ -298,22 +317,23 @@ def _solve(
         chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
         changes = {f"controller.{key}": value for key, value in chosen.items() if value is not None}
         scenario = _scenario(file, variant, overrides, changes)
-        problem = scenario.problem(verbose)
-        initial: Mapping[str, Any] | None = scenario.initial()
-    else:
-        if variant is not None or overrides:
-            raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
-        cost = None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
-        problem = MultiStage(
-            read_network(file, default_cost=cost),
-            1 if horizon is None else horizon,
-            formulation=formulation or "ac",
-            solver=solver or "auto",
-            verbose=verbose,
-        )
-        initial = None
-    with _solver_output(verbose):
-        return problem, problem.solve(initial=initial)
+        return scenario.problem(verbose), scenario.initial()
+    if variant is not None or overrides:
+        raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
+    cost = None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
+    problem = MultiStage(
+        read_network(file, default_cost=cost),
+        1 if horizon is None else horizon,
+        formulation=formulation or "ac",
+        solver=solver or "auto",
+        verbose=verbose,
+    )
+    return problem, None
+
+
+def _check_on_infeasible(value: str | None) -> None:
+    if value not in (None, "stop", "elastic"):
+        raise OpfmodelError(f"--on-infeasible {value}: must be stop or elastic")
 
 
 def _verify(problem: MultiStage, plan: Plan) -> Report:
@@ -374,6 +394,11 @@ def _print_pairs(pairs: Mapping[str, str]) -> None:
         print(f"{key:<{width}}  {value}")
 
 
+def _print_diagnosis(sentences: list[str], label: str = "lacking") -> None:
+    for sentence in sentences:
+        print(f"{label}: {sentence}")
+
+
 def _print_comparisons(comparisons: list[Comparison]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -411,7 +436,21 @@ def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
             "iterations": _count(summary["iterations_mean"], "mean"),
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            **_measured(summary),
             **_unchecked(summary["unchecked"]),
             "results": f"{folder}" if summary["steps"] else "none",
         }
     )
+    for step, sentences in summary["diagnosis"].items():
+        _print_diagnosis(sentences, f"plan at step {step}")
+
+
+def _measured(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What the plant found, in words; nothing of a nominal plant."""
+    named = {"redispatched_mwh": "redispatched", "shed_mwh": "shed", "curtailed_mwh": "curtailed"}
+    shown = {word: f"{summary[key]:,.2f} MWh" for key, word in named.items() if key in summary}
+    if "violated_steps" in summary:
+        shown["limits"] = f"exceeded in {summary['violated_steps']} of {summary['steps']} steps"
+    if summary.get("unsolved_steps"):
+        shown["no state found"] = f"in {summary['unsolved_steps']} steps"
+    return shown

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -34,6 +35,7 @@ from opfmodel.errors import (
     ScenarioError,
     nearest,
 )
+from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
@@ -43,10 +45,25 @@ from opfmodel.profiles.base import Workbook, constant
 from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
 from opfmodel.sequence import SingleStageSequence, single_stage_sequence
-from opfmodel.simulation import Controller, Run, simulate
+from opfmodel.simulation import (
+    Controller,
+    NominalPlant,
+    OnInfeasible,
+    Plant,
+    PowerFlow,
+    Redispatch,
+    Run,
+    simulate,
+)
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "load_scenario"]
+
+_PLANTS: dict[str, Callable[..., Plant]] = {
+    "nominal": NominalPlant,
+    "power-flow": PowerFlow,
+    "redispatch": Redispatch,
+}
 
 Spec = str | dict[str, Any] | list[dict[str, Any]]
 
@@ -79,7 +96,17 @@ class _Controller(_Section):
     initial_dispatch: Literal["free", "single-stage"] | None = None
     end: _End = Field(default_factory=_End)
     regularisation: float | None = Field(None, ge=0)
+    on_infeasible: OnInfeasible = "stop"
     solver: str | _Solver = "auto"
+
+
+class _Plant(_Section):
+    mode: Literal["nominal", "power-flow", "redispatch"] = "nominal"
+    participation: dict[str, float] | None = None
+    price: float | None = Field(None, gt=0)
+    reactive_price: float | None = Field(None, gt=0)
+    shedding_price: float | None = Field(None, gt=0)
+    violation_price: float | None = Field(None, gt=0)
 
 
 class _Published(_Section):
@@ -98,6 +125,8 @@ class _File(_Section):
     profiles: list[str | dict[str, Any]] = Field(default_factory=list)
     cost: Spec = "economic"
     controller: _Controller = Field(default_factory=_Controller)
+    forecast: str | dict[str, Any] = "perfect"
+    plant: _Plant = Field(default_factory=_Plant)
     constraints: dict[str, Any] = Field(default_factory=dict)
     published: _Published | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -115,6 +144,8 @@ class Scenario:
         Made from the file.
     cost
         The objective that realised costs are metered with.
+    forecast
+        What the controller expects of the profiles.
     settings
         The checked content of the file.
     constraints
@@ -127,6 +158,7 @@ class Scenario:
     profiles: Profiles
     cost: Objective
     objective: Objective
+    forecast: Forecast
     settings: _File
     constraints: Mapping[str, Limited] = field(default_factory=dict)
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
@@ -201,11 +233,16 @@ class Scenario:
             self._sequences[steps] = single_stage_sequence(problem, steps)
         return self._sequences[steps]
 
+    def plant(self) -> Plant:
+        """What answers the plans of the controller."""
+        options = self.settings.plant.model_dump(exclude={"mode"}, exclude_none=True)
+        return _PLANTS[self.settings.plant.mode](**options)
+
     def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
         """Run the closed loop of the scenario."""
-        problem = self.problem(verbose)
         return simulate(
-            Controller(problem),
+            Controller(self.problem(verbose), self.forecast, self.settings.controller.on_infeasible),
+            self.plant(),
             steps=self.steps,
             initial=self.initial(),
             objective=self.cost,
@@ -256,6 +293,7 @@ def load_scenario(
         profiles=_profiles(document, settings, network),
         cost=cost,
         objective=cost,
+        forecast=_forecast(document, settings),
         settings=settings,
         constraints=_constraints(document, settings),
     )
@@ -272,6 +310,7 @@ def load_scenario(
     with _located(document, ("controller",)):
         problem = scenario.problem()
     _check_constraints(document, scenario.constraints, problem)
+    _check_plant(document, scenario)
     return scenario
 
 
@@ -557,6 +596,30 @@ def _objective(
     if not parts:
         raise document.error(key, "needs at least one objective")
     return WeightedSum(parts)
+
+
+def _forecast(document: Document, settings: _File) -> Forecast:
+    name, options = _single(document, ("forecast",), settings.forecast)
+    key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
+    with _located(document, key):
+        made = plugins.make(
+            "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
+        )
+        assert isinstance(made, Forecast)
+        return made
+
+
+def _check_plant(document: Document, scenario: Scenario) -> None:
+    """Raise an error for an option that the plant does not take, or that does not fit the network."""
+    settings = scenario.settings.plant
+    accepted = list(inspect.signature(_PLANTS[settings.mode]).parameters)
+    for key in settings.model_dump(exclude={"mode"}, exclude_none=True):
+        if key not in accepted:
+            known = f"it takes {', '.join(accepted)}" if accepted else "it takes none"
+            raise document.error(("plant", key), f"mode {settings.mode!r} has no such option; {known}")
+    if settings.participation is not None:
+        with _located(document, ("plant", "participation")):
+            PowerFlow(settings.participation).shares(per_unit(scenario.network))
 
 
 def _setpoints(value: Any, scenario: Scenario) -> Setpoints:
