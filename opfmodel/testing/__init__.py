@@ -1,4 +1,4 @@
-"""The contracts of plugins: what any objective, formulation, device, profile rule and back end must keep.
+"""The contracts of plugins: of objectives, formulations, devices, profile rules, forecasts and back ends.
 
     >>> from opfmodel.objectives.economic import Economic
     >>> check_objective(Economic(reactive_weight=1e-3))
@@ -9,6 +9,7 @@ them.
 """
 
 from opfmodel.testing.devices import check_device
+from opfmodel.testing.forecasts import check_forecast
 from opfmodel.testing.formulations import check_formulation
 from opfmodel.testing.objectives import check_objective
 from opfmodel.testing.profiles import check_profile
@@ -18,6 +19,7 @@ __all__ = [
     "ContractError",
     "check_back_end",
     "check_device",
+    "check_forecast",
     "check_formulation",
     "check_objective",
     "check_profile",
