@@ -259,3 +259,41 @@ def test_help_needs_no_heavy_library() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ.copy()
     )
     assert out.stdout.strip() == "[]"
+
+
+HEAVY = ("--set", "profiles=[{scale: {factor: 1.5}}]", "--set", "controller.generator_delay=0")
+
+
+def test_solve_says_what_is_short(call: Call) -> None:
+    arguments = ("solve", CASE5, *HEAVY, "--horizon", 2, "--on-infeasible", "elastic")
+    code, out, _ = call(*arguments, "--json")
+    result = json.loads(out)
+    assert code == 1
+    assert result["status"] == "locally_infeasible"
+    (sentence,) = result["diagnosis"]
+    assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
+    code, out, _ = call(*arguments)
+    assert f"lacking: {sentence}" in out
+    assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
+
+
+def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
+    short = (*HEAVY, "--set", "time.steps=2", "--set", "controller.horizon=2", "--out", tmp_path)
+    code, out, _ = call("run", CASE5, *short, "--on-infeasible", "elastic", "--json")
+    summary = json.loads(out)
+    assert (code, summary["status"], summary["elastic_steps"]) == (0, "done", 2)
+    assert "branch 4-5" in summary["diagnosis"]["0"][0]
+    assert summary["max_violation"] == pytest.approx(0.14, abs=0.01)
+    assert load(tmp_path)["plan_status"].values.tolist() == ["elastic", "elastic"]
+    code, _, err = call("run", CASE5, "--on-infeasible", "pray")
+    assert (code, "--on-infeasible pray: must be stop or elastic" in err) == (2, True)
+
+
+def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
+    plant = ("--set", "plant.mode=power-flow", "--set", "controller.formulation=dc", "--out", tmp_path)
+    code, out, _ = call("run", CASE5, *SHORT, *plant)
+    assert code == 0
+    assert "limits         exceeded in 3 of 3 steps" in out
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["redispatched_mwh"] > 1
+    assert float(load(tmp_path)["flow_excess"].max()) == pytest.approx(summary["largest_flow_excess"])

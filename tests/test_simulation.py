@@ -82,6 +82,12 @@ def test_one_program_serves_the_whole_run() -> None:
     assert made.compile() is program
 
 
+def test_a_controller_can_be_run_again() -> None:
+    controller = om.Controller(problem(4))
+    first, second = (om.simulate(controller, steps=3) for _ in range(2))
+    assert second.cost == pytest.approx(first.cost, rel=1e-6)
+
+
 def test_a_failure_ends_the_run_and_keeps_what_was_done() -> None:
     hopeless = {**WAVE, "town.p": [60, 60, 60, 60, 60, 400, 60, 60]}
     run = om.simulate(problem(3, hopeless), steps=6)

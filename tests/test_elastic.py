@@ -1,0 +1,269 @@
+"""Elastic problems: the same optimum where there is one, and what is short where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import demand, everything, two_bus
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel.check import check
+from opfmodel.errors import ModelError
+from opfmodel.plugins import plugins
+
+FORMULATIONS = [name for name, plugin in plugins("formulation").items() if plugin.origin == "opfmodel"]
+NETWORKED = [name for name in FORMULATIONS if name != "copperplate"]
+
+
+def one_bus(capacity: float) -> om.Network:
+    grid = om.Network("one-bus")
+    grid.add("4", om.Bus())
+    grid.unit = om.Generator("4", p=(0, capacity), cost=om.Polynomial(0, 20, 0))
+    grid.town = om.Load("4", p=50)
+    return grid
+
+
+def sentences(problem: om.MultiStage, **options: object) -> list[str]:
+    return [str(shortage) for shortage in problem.elastic_twin().solve(**options).shortages]
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_where_there_is_a_solution_it_is_the_same(formulation: str) -> None:
+    problem = om.MultiStage(everything(), 4, formulation=formulation, profiles=demand(4))
+    plan, elastic = problem.solve(), problem.elastic_twin().solve()
+    assert plan.optimal
+    assert elastic.optimal
+    assert elastic.shortages == ()
+    assert elastic.objective == pytest.approx(plan.objective, rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_lack_of_capacity(formulation: str) -> None:
+    problem = om.MultiStage(
+        one_bus(40), 4, formulation=formulation, profiles={"town.p": [35, 50, 72.1, 40]}, step=2
+    )
+    assert not problem.solve().optimal
+    assert sentences(problem) == ["bus 4 lacks 32.1 MW at hour 4 (2 stages short, 84.2 MWh in all)"]
+
+
+@pytest.mark.parametrize("formulation", ["dc", "dc-matpower"])
+def test_a_rating_that_is_too_small_without_losses(formulation: str) -> None:
+    grid = two_bus()
+    grid.remove("cell")
+    problem = om.MultiStage(grid, 2, formulation=formulation, profiles={"town.p": [120, 132]})
+    assert sentences(problem) == ["branch tie exceeds its rating by 12.0 MVA at hour 1"]
+
+
+@pytest.mark.parametrize("formulation", NETWORKED)
+def test_what_is_said_of_a_branch_is_what_the_check_finds(formulation: str) -> None:
+    grid = two_bus()
+    grid.update("coal", ramp=100)
+    series = {"town.p": [80, 150, 160, 90]}
+    problem = om.MultiStage(grid, 4, formulation=formulation, profiles=series)
+    assert not problem.solve().optimal
+    plan = problem.elastic_twin().solve()
+    report = check(grid, plan.data, series)
+    (shortage,) = plan.shortages
+    assert (shortage.kind, shortage.component, shortage.unit) == ("branch", "tie", "MVA")
+    assert shortage.worst / 100 == pytest.approx(report.violations["branch rating"].value, rel=1e-4)
+    assert report.worst.family == "branch rating"
+    assert report.violations["active balance"].value < 1e-6
+
+
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular"])
+def test_voltages(formulation: str) -> None:
+    grid = two_bus()
+    grid.update("coal", q=(-10, 200))
+    grid.update("tie", rating=None, x=0.3)
+    grid.update("town", p=90, q=45)
+    grid.remove("cell")
+    problem = om.MultiStage(grid, formulation=formulation)
+    assert not problem.solve().optimal
+    plan = problem.elastic_twin().solve()
+    (shortage,) = plan.shortages
+    assert str(shortage).endswith("p.u. over its largest voltage at hour 0")
+    assert shortage.worst == pytest.approx(check(grid, plan.data).violations["voltage"].value, rel=1e-4)
+
+
+def test_ramps() -> None:
+    series = {"town.p": [40, 90, 90]}
+    grid = two_bus()
+    grid.remove("cell")
+    plan = om.MultiStage(grid, 3, profiles=series).elastic_twin().solve()
+    report = check(grid, plan.data, series)
+    (shortage,) = plan.shortages
+    assert str(shortage).startswith("generator coal must rise")
+    assert shortage.worst / 100 == pytest.approx(report.violations["ramp"].value, rel=1e-4)
+    assert int(np.argmax(shortage.amounts)) == 1
+
+
+def test_the_ramp_from_the_dispatch_before() -> None:
+    problem = om.MultiStage(two_bus(), formulation="dc", profiles={"town.p": [90]})
+    (said,) = sentences(problem, initial={"pg": [200.0], "e": [200.0]})
+    assert said == "generator coal must fall 90.0 MW faster than its ramp allows at hour 0"
+
+
+def test_energy_and_the_end_of_the_horizon() -> None:
+    grid = two_bus()
+    full = om.MultiStage(grid, 2, formulation="dc", end=om.End(minimum=0.9))
+    assert sentences(full, initial={"e": [140.0]}) == ["storage cell is 20.0 MWh below its minimum at hour 1"]
+    grid.update("cell", standing_loss=0.2)
+    cyclic = om.MultiStage(grid, 1, formulation="dc", end=om.End(cyclic=True))
+    assert sentences(cyclic, initial={"e": [150.0]}) == [
+        "storage cell ends 20.0 MWh short of where it began at hour 0"
+    ]
+
+
+def test_generation_that_nobody_takes() -> None:
+    grid = one_bus(40)
+    grid.update("unit", p=(20, 40))
+    grid.update("town", p=5)
+    assert sentences(om.MultiStage(grid)) == ["bus 4 has 15.0 MW too much at hour 0"]
+    grid.update("unit", p=(0, 40))
+    grid.update("town", p=-30)
+    assert sentences(om.MultiStage(grid)) == ["bus 4 has 30.0 MW too much at hour 0"]
+
+
+def test_without_a_network_the_island_is_short() -> None:
+    problem = om.MultiStage(two_bus(), formulation="copperplate", profiles={"town.p": [250]})
+    assert sentences(problem) == ["island of bus north lacks 40.0 MW at hour 0"]
+
+
+def test_constraints_of_ones_own() -> None:
+    problem = om.MultiStage(one_bus(60))
+    problem.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 30)
+    assert sentences(problem) == ["constraint reserve is missed by 20.0 at hour 0"]
+
+
+def test_constraints_with_limits_of_each_step_and_of_some_stages() -> None:
+    problem = om.MultiStage(one_bus(60), 2)
+    problem.constrain("floor", lambda s: s.generator.pg, at_least=[50, 58])
+    problem.constrain("later", lambda s: s.generator.pg[:, -1:] <= 30)
+    said = sentences(problem)
+    assert said[0] == "constraint later is exceeded by 20.0"
+    assert said[1:] == ["constraint floor is missed by 8 at hour 1"]
+
+
+def test_a_rating_with_a_time_series() -> None:
+    grid = two_bus()
+    series = {"tie.rating": [120, 60, 60]}
+    plan = om.MultiStage(grid, 3, profiles=series).elastic_twin().solve()
+    found = check(grid, plan.data, series).violations["branch rating"].value
+    assert plan.shortages[0].worst / 100 == pytest.approx(found, rel=1e-4)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.floats(1, 120), min_size=1, max_size=5))
+def test_what_is_short_is_demand_above_capacity(series: list[float]) -> None:
+    problem = om.MultiStage(one_bus(60), len(series), profiles={"town.p": series})
+    plan = problem.elastic_twin().solve()
+    short = np.maximum(np.array(series) - 60, 0)
+    assert plan.data["p_unserved"].values[:, 0] == pytest.approx(short, abs=1e-3)
+    if short.max() > 1e-2:
+        (shortage,) = plan.shortages
+        assert shortage.amounts == pytest.approx(short, abs=1e-3)
+        assert shortage.cost == pytest.approx(10_000 * short.sum(), rel=1e-3)
+
+
+@settings(max_examples=25)
+@given(
+    formulation=st.sampled_from(FORMULATIONS),
+    town=st.floats(-200, 300),
+    mill=st.floats(-150, 200),
+    rating=st.floats(0, 100),
+    angle=st.floats(0.5, 30),
+    vm=st.tuples(st.floats(0.9, 1.0), st.floats(1.0, 1.1)),
+    stored=st.floats(0, 40),
+)
+def test_there_is_always_a_solution(
+    formulation: str,
+    town: float,
+    mill: float,
+    rating: float,
+    angle: float,
+    vm: tuple[float, float],
+    stored: float,
+) -> None:
+    grid = everything()
+    for bus in "abcd":
+        grid.update(bus, vm=vm)
+    grid.update("line", rating=rating, angle=(-angle, angle))
+    series = {"town.p": [town, mill], "mill.p": [mill, town], "mill.q": [town / 3, 5]}
+    problem = om.MultiStage(grid, 2, formulation=formulation, profiles=series)
+    plan = problem.elastic_twin().solve(initial={"pg": [30, 20], "e": [stored, stored / 2]})
+    assert plan.optimal, plan.termination
+    violations = check(grid, plan.data, series).violations
+    assert violations["active balance"].value < 1e-5
+    assert violations["generator p"].value < 1e-5
+
+
+@pytest.mark.parametrize("formulation", ["ac", "soc", "dc"])
+def test_demand_less_what_is_short_can_be_served(formulation: str) -> None:
+    grid = two_bus()
+    grid.update("tie", rating=None)
+    grid.update("town", p=230, q=10)
+    problem = om.MultiStage(grid, 2, formulation=formulation)
+    assert not problem.solve().optimal
+    data = problem.elastic_twin(om.Elastic(limit=100_000, balance=100_000)).solve().data
+    short = float(data["p_unserved"].max())
+    assert short > 15
+    for shed, served in ((short + 0.01, True), (short - 0.1, False)):
+        series = {"town.p": [230 - shed] * 2, "town.q": [10 * (1 - shed / 230)] * 2}
+        assert om.MultiStage(grid, 2, formulation=formulation, profiles=series).solve().optimal is served
+
+
+def test_the_check_counts_what_is_not_served_as_a_violation_but_balances_it() -> None:
+    grid = one_bus(40)
+    plan = om.MultiStage(grid).elastic_twin().solve()
+    report = check(grid, plan.data)
+    assert report.violations["active balance"].value < 1e-6
+    assert report.violations["p unserved"].value == pytest.approx(0.1, abs=1e-5)
+    assert report.worst.family == "p unserved"
+
+
+@pytest.mark.parametrize("price", [0.0, -1.0, float("inf"), "much"])
+def test_prices_are_positive(price: object) -> None:
+    with pytest.raises(ModelError, match=r"elastic: shedding = .*: must be a positive price"):
+        om.Elastic(shedding=price)  # type: ignore[arg-type]
+
+
+SHORT_AT_4 = [60, 60, 60, 60, 260, 60, 60, 60]
+
+
+def looped(on_infeasible: str) -> om.Run:
+    grid = two_bus()
+    grid.update("coal", ramp=200)
+    problem = om.MultiStage(grid, 2, profiles={"town.p": SHORT_AT_4})
+    return om.simulate(problem, steps=7, on_infeasible=on_infeasible)
+
+
+def test_the_loop_goes_on_with_elastic_plans() -> None:
+    run = looped("elastic")
+    assert run.status == "done"
+    assert [str(word) for word in run.data["plan_status"].values] == [
+        *["locally_optimal"] * 3, "elastic", "elastic", *["locally_optimal"] * 2,
+    ]  # fmt: skip
+    summary = run.summary()
+    assert summary["elastic_steps"] == 2
+    assert set(summary["diagnosis"]) == {"3", "4"}
+    assert all("at hour 4" in text for texts in summary["diagnosis"].values() for text in texts)
+    unserved = run.data["p_unserved"].values[:, 0]
+    excess = run.data["rating_from_above"].values[:, 0]
+    assert np.flatnonzero(np.maximum(unserved, excess) > 0.1).tolist() == [4]
+
+
+def test_or_it_stops() -> None:
+    run = looped("stop")
+    assert run.status == "locally_infeasible"
+    assert len(run.steps) == 3
+    assert run.summary()["diagnosis"] == {}
+
+
+def test_only_stop_and_elastic_are_accepted() -> None:
+    problem = om.MultiStage(two_bus())
+    with pytest.raises(ModelError, match="on_infeasible = 'pray': must be 'stop' or 'elastic'"):
+        om.simulate(problem, on_infeasible="pray")  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="a controller has its own"):
+        om.simulate(om.Controller(problem), on_infeasible="elastic")

@@ -1,0 +1,297 @@
+"""Forecasts: what a controller sees, and that it is the same whenever it is asked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import two_bus
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel import plugins
+from opfmodel.check import check
+from opfmodel.errors import ProfileError, ScenarioError
+from opfmodel.forecasts import File, Forecast, Noisy, Perfect, Persistence
+from opfmodel.testing import ContractError, check_forecast
+
+ACTUAL = om.Profiles.of(
+    {"town.p": np.arange(10.0, 70.0), "town.q": np.arange(1.0, 7.0, 0.1), "coal.c1": np.full(60, 15.0)}
+)
+TOWN = ("town", "p")
+
+
+def series(**values: list[float]) -> om.Profiles:
+    return om.Profiles.of({key.replace("_", "."): value for key, value in values.items()})
+
+
+def test_perfect() -> None:
+    assert Perfect().expected(ACTUAL, 4, 3).series[TOWN].tolist() == [14, 15, 16]
+
+
+@pytest.mark.parametrize(
+    ("period", "time", "expected"),
+    [
+        (1, 5, [14, 14, 14, 14]),
+        (1, 0, [10, 10, 10, 10]),
+        (3, 7, [14, 15, 16, 14]),
+        (3, 1, [11, 12, 10, 11]),
+    ],
+)
+def test_persistence(period: int, time: int, expected: list[float]) -> None:
+    seen = Persistence(period).expected(ACTUAL, time, 4)
+    assert seen.series[TOWN].tolist() == expected
+    assert seen.series["coal", "c1"].tolist() == [15] * 4
+
+
+@given(period=st.integers(1, 30), time=st.integers(0, 40), stages=st.integers(1, 20))
+def test_persistence_knows_nothing_of_what_comes(period: int, time: int, stages: int) -> None:
+    seen = Persistence(period).expected(ACTUAL, time, stages).series[TOWN]
+    known = max(time, period)  # before the first period is over its own values stand in
+    assert (seen < 10 + known).all()
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**40), time=st.integers(0, 40), deviation=st.floats(0, 0.5))
+def test_noise_keeps_power_factors_signs_and_prices(seed: int, time: int, deviation: float) -> None:
+    seen = Noisy(deviation, seed).expected(ACTUAL, time, 12).series
+    part = slice(time, time + 12)
+    factor = seen[TOWN] / ACTUAL.series[TOWN][part]
+    assert (factor >= 0).all()
+    assert seen["town", "q"] == pytest.approx(factor * ACTUAL.series["town", "q"][part])
+    assert (seen["coal", "c1"] == 15).all()
+
+
+def test_noise_depends_on_seed_component_and_step_alone() -> None:
+    noisy = Noisy(0.1, seed=3)
+    late, early = (noisy.expected(ACTUAL, time, 5).series[TOWN] for time in (7, 2))
+    again = Noisy(0.1, seed=3)
+    assert (again.expected(ACTUAL, 2, 5).series[TOWN] == early).all()
+    assert (again.expected(ACTUAL, 7, 5).series[TOWN] == late).all()
+    assert (again.expected(ACTUAL, 7, 9).series[TOWN][:5] == late).all()
+    errors = [Noisy(0.1, 3).error("town", 7, 5), Noisy(0.1, 4).error("town", 7, 5)]
+    errors += [Noisy(0.1, 3).error("mill", 7, 5), Noisy(0.1, 3).error("town", 8, 5)]
+    assert len({tuple(error) for error in errors}) == 4
+
+
+def test_the_error_grows_with_the_time_ahead() -> None:
+    noisy = Noisy(0.1, seed=1, correlation=0.8)
+    errors = np.array([noisy.error("town", time, 12) for time in range(4000)])
+    ahead = np.arange(1, 13)
+    expected = 0.1 * np.sqrt((1 - 0.8 ** (2 * ahead)) / (1 - 0.8**2))
+    assert errors.std(axis=0) == pytest.approx(expected, rel=0.05)
+    assert errors.mean(axis=0) == pytest.approx(np.zeros(12), abs=0.01)
+    assert np.corrcoef(errors[:, 10], errors[:, 11])[0, 1] == pytest.approx(0.8, abs=0.03)
+    assert abs(np.corrcoef(errors[:-1, 0], errors[1:, 0])[0, 1]) < 0.05
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "forecast.csv"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_without_issues(tmp_path: Path) -> None:
+    forecast = File(write(tmp_path, "# made by hand\nhour,town.p\n0,1\n1,2\n2,3\n3,4\n"))
+    seen = forecast.expected(ACTUAL, 1, 3).series
+    assert seen[TOWN].tolist() == [2, 3, 4]
+    assert seen["town", "q"] == pytest.approx([1.1, 1.2, 1.3])
+
+
+def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
+    rows = "issued,town.p\n0,1\n0,2\n0,3\n0,4\n2,30\n2,40\n2,50\n"
+    forecast = File(write(tmp_path, rows))
+    assert forecast.expected(ACTUAL, 1, 2).series[TOWN].tolist() == [2, 3]
+    assert forecast.expected(ACTUAL, 2, 2).series[TOWN].tolist() == [30, 40]
+    assert forecast.expected(ACTUAL, 3, 2).series[TOWN].tolist() == [40, 50]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "needs a line of headings"),
+        ("hour\n1\n", "needs a line of headings"),
+        ("hour,town.p\n0,1\n1,many\n", "row 3, column 'town.p': 'many' is not a number"),
+        ("hour,town.p\n0\n", "row 2, column 'town.p': 'nothing' is not a number"),
+        ("issued,town.p\n3,1\n", "nothing was issued by step 1; first is 3"),
+        ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
+        ("hour,twon.p\n" + 9 * "0,1\n", "column 'twon.p': there is no such series"),
+    ],
+)
+def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ProfileError, match=message):
+        File(write(tmp_path, text)).expected(ACTUAL, 1, 3)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ProfileError, match=r"none\.csv: cannot be read"):
+        File(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Persistence(0), "period = 0"),
+        (lambda: Noisy(-0.1, 1), "deviation = -0.1"),
+        (lambda: Noisy(0.1, 1, correlation=1.0), "correlation = 1.0"),
+        (lambda: Noisy(0.1, -1), "seed = -1"),
+    ],
+)
+def test_options_out_of_range(make: object, message: str) -> None:
+    with pytest.raises(ProfileError, match=message):
+        make()  # type: ignore[operator]
+
+
+def problem(**options: object) -> om.MultiStage:
+    grid = two_bus()
+    grid.update("coal", ramp=200)
+    demand = {"town.p": [60, 80, 100, 70, 60, 80, 90, 60], "town.q": [20] * 8}
+    return om.MultiStage(grid, 3, profiles=demand, **options)  # type: ignore[arg-type]
+
+
+def test_plans_are_made_for_the_forecast_and_met_by_what_happens() -> None:
+    made = problem()
+    controller = om.Controller(made, Persistence())
+    plan = controller.plan(3, None)
+    assert plan.data["pd"].sel(bus="south").values == pytest.approx([100, 100, 100])
+    run = om.simulate(om.Controller(made, Persistence()), om.Redispatch(), 5)
+    assert run.data["pd"].sel(bus="south").values == pytest.approx([60, 80, 100, 70, 60])
+    assert (
+        check(made.network, run.data, {"town.p": [60, 80, 100, 70, 60], "town.q": [20] * 5}).max_violation
+        < 1e-6
+    )
+    changed = run.data["pg_redispatch"].values[:, 0] + run.data["ps_redispatch"].values[:, 0]
+    assert changed == pytest.approx([0, 20, 20, 30, 10], abs=2)
+
+
+def test_no_forecast_is_a_perfect_one() -> None:
+    runs = [om.simulate(om.Controller(problem(), f), steps=3) for f in (None, Perfect(), Noisy(0.0, 1))]
+    assert {run.cost for run in runs} == {runs[0].cost}
+
+
+def test_a_run_is_repeated_exactly() -> None:
+    costs = {
+        om.simulate(om.Controller(problem(), Noisy(0.05, seed=7)), om.Redispatch(), 4).cost for _ in range(2)
+    }
+    assert len(costs) == 1
+
+
+def test_what_is_available_is_forecast_too_but_never_below_what_a_unit_must_do() -> None:
+    class Calm(Forecast):
+        def expected(self, actual: om.Profiles, time: int, stages: int) -> om.Profiles:
+            return om.Profiles({key: np.zeros(stages) if key[1] == "p_max" else v[time : time + stages]
+                                for key, v in actual.series.items()})  # fmt: skip
+
+    grid = two_bus()
+    grid.wind = om.Generator("south", p=(5, 40), q=(0, 0))
+    made = om.MultiStage(grid, 2, profiles={"wind.p_max": [30, 30, 30], "town.p": [90, 90, 90]})
+    plan = om.Controller(made, Calm()).plan(0, None)
+    assert plan.data["pg"].sel(generator="wind").values == pytest.approx([5, 5], abs=1e-4)
+
+
+MINIMAL = """
+network:
+  buses: {a: {}}
+  generators: {g: {bus: a, p: [0, 99]}}
+  loads: {town: {bus: a, p: 10}}
+profiles: [{scale: {factor: 1.0}}]
+time: {steps: 3}
+"""
+
+
+def scenario(tmp_path: Path, text: str) -> om.Scenario:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(MINIMAL + text)
+    return om.load_scenario(path)
+
+
+def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
+    assert isinstance(scenario(tmp_path, "").forecast, Perfect)
+    assert isinstance(scenario(tmp_path, "forecast: persistence").forecast, Persistence)
+    noisy = scenario(tmp_path, "forecast: {noisy: {deviation: 0.1, seed: 4, fields: [p]}}").forecast
+    assert isinstance(noisy, Noisy)
+    assert (noisy.deviation, noisy.seed, noisy.correlation, noisy.fields) == (0.1, 4, 0.9, ("p",))
+    write(tmp_path, "hour,town.p\n0,11\n1,12\n2,13\n")
+    made = scenario(tmp_path, "forecast: {file: {file: forecast.csv}}")
+    run = made.simulate()
+    assert run.data["pg"].values[:, 0] == pytest.approx([11, 12, 13], abs=1e-3)
+    assert run.data["pd"].values[:, 0] == pytest.approx([10, 10, 10])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("forecast: nosy", r"scenario.yaml:8:1: forecast: there is no forecast 'nosy'; did you mean 'noisy'"),
+        ("forecast: {noisy: {deviation: 0.1}}", "forecast 'noisy' needs the option 'seed'"),
+        (
+            "forecast: {noisy: {deviaton: 0.1, seed: 1}}",
+            r":8:20: forecast.noisy.deviaton: .*did you mean 'deviation'",
+        ),
+        ("forecast: {noisy: {deviation: -1, seed: 1}}", r":8:12: forecast.noisy: noisy: deviation = -1"),
+        ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: cannot be read"),
+    ],
+)
+def test_mistakes_in_a_scenario(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        scenario(tmp_path, text)
+
+
+# The contract ---------------------------------------------------------------------------------------
+
+OPTIONS = {"noisy": {"deviation": 0.1, "seed": 3}, "persistence": {"period": 2}}
+
+
+@pytest.mark.parametrize("name", plugins.plugins("forecast"))
+def test_a_forecast_keeps_its_contract(name: str, tmp_path: Path) -> None:
+    rows = "".join(f"{issued},{n}\n" for issued in (0, 2) for n in range(5))
+    options = {"file": {"file": write(tmp_path, "issued,town.p\n" + rows)}, **OPTIONS}.get(name, {})
+    check_forecast(plugins.make("forecast", name, options))
+
+
+def planted(expected: object) -> Forecast:
+    return type("Planted", (Forecast,), {"__doc__": "Planted.", "expected": expected, "calls": 0})()
+
+
+def shortened(self, actual, time, stages):
+    return Perfect().expected(actual, time, 1)
+
+
+def forgetful(self, actual, time, stages):
+    return om.Profiles({("town", "p"): np.ones(stages)})
+
+
+def undefined(self, actual, time, stages):
+    return om.Profiles({key: np.full(stages, np.nan) for key in actual.series})
+
+
+def moody(self, actual, time, stages):
+    self.calls += 1
+    return om.Profiles({key: np.full(stages, float(self.calls)) for key in actual.series})
+
+
+def hurried(self, actual, time, stages):
+    return om.Profiles({key: np.full(stages, float(stages)) for key in actual.series})
+
+
+def greedy(self, actual, time, stages):
+    for values in actual.series.values():
+        np.multiply(values, 2.0, out=values)
+    return Perfect().expected(actual, time, stages)
+
+
+@pytest.mark.parametrize(
+    ("expected", "message"),
+    [
+        (shortened, "expects one value per stage"),
+        (forgetful, "expects every series that there is and no other"),
+        (undefined, "expects finite numbers"),
+        (moody, "the same when it is asked again, in another order"),
+        (hurried, "expects the same for however many stages"),
+        (greedy, "leaves what happens as it is"),
+    ],
+)
+def test_a_forecast_that_breaks_a_rule_is_caught(expected: object, message: str) -> None:
+    with pytest.raises(ContractError, match=message):
+        check_forecast(planted(expected))
