@@ -396,6 +396,7 @@ class MultiStage:
         initial: Initial | None = None,
         previous: Plan | None = None,
         end: End | None = None,
+        multipliers: bool = True,
         expected: Mapping[tuple[str, str], Array] | None = None,
     ) -> Plan:
         """Solve for the stages from ``time`` on.
@@ -412,6 +413,9 @@ class MultiStage:
             An earlier plan of this problem to start from; it is shifted by the difference in time.
         end
             Something else to ask at the end of the horizon, for this solve.
+        multipliers
+            Whether the start has the multipliers of the earlier plan too; without them it is only
+            another point to start from.
         expected
             Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
             in place of those that the profiles have: a forecast, say.
@@ -447,7 +451,7 @@ class MultiStage:
             if own.limited:
                 numbers.limit(_rows_of(name), *own.window(name, time, self.horizon))
         instance = numbers.instance()
-        start = _start(previous, time)
+        start = _start(previous, time, multipliers)
         solution = session.solve(instance, start)
         return Plan(self, model, solution, network, time)
 
@@ -614,10 +618,11 @@ class _PhysicalQuantities:
         )
 
 
-def _start(previous: Plan | None, time: int) -> Start | None:
+def _start(previous: Plan | None, time: int, multipliers: bool) -> Start | None:
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    return previous.solution.shifted(time - previous.time)
+    moved = previous.solution.shifted(time - previous.time)
+    return moved if multipliers else Start(moved.x)
 
 
 def make_formulation(formulation: str | Formulation) -> Formulation:

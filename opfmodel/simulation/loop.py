@@ -5,8 +5,8 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -21,18 +21,40 @@ from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.results import dataset
 from opfmodel.simulation.plants import NominalPlant, Plant, Step
 from opfmodel.simulation.records import summarise
+from solvers import SolutionStatus
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Controller", "OnInfeasible", "Run", "simulate"]
+__all__ = ["Attempt", "Controller", "OnInfeasible", "Run", "simulate"]
 
 Array = npt.NDArray[np.float64]
 OnInfeasible = Literal["stop", "elastic"]
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """One solve on the way to a plan.
+
+    Attributes
+    ----------
+    start
+        ``warm`` (the last plan moved ahead, with its multipliers), ``cold``, ``other`` (the last plan
+        moved ahead, without multipliers) or ``elastic`` (the twin whose limits give way).
+    """
+
+    start: str
+    status: str
+    termination: str
+    iterations: int | None
+    seconds: float
+
+
 class Controller:
     """Plans at every step with the same compiled problem, starting from its last plan.
+
+    A solve that fails is repeated from other starting points before the failure is accepted: warm,
+    cold, other, and, if asked for, elastic; :attr:`attempts` has them all.
 
     Parameters
     ----------
@@ -45,6 +67,11 @@ class Controller:
         way at a price.
     elastic
         Those prices.
+
+    Attributes
+    ----------
+    attempts
+        The solves that the last plan took.
     """
 
     def __init__(
@@ -60,21 +87,36 @@ class Controller:
         self.forecast = forecast
         self.on_infeasible = on_infeasible
         self.elastic = Elastic() if elastic is None else elastic
+        self.attempts: list[Attempt] = []
         self._last: Plan | None = None
 
     def plan(self, time: int, state: Initial | None) -> Plan:
-        """Plan from ``state`` at step ``time``; a plan that failed says so by its status.
-
-        A warm start that fails is repeated cold before the failure is accepted.
-        """
-        expected = self._expected(time)
-        previous = self._last
-        plan = self.problem.solve(time, state, previous, expected=expected)
-        if not plan.optimal and previous is not None:
-            plan = self.problem.solve(time, state, expected=expected)
+        """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
+        expected, last = self._expected(time), self._last
+        solve = partial(self.problem.solve, time, state, expected=expected)
+        ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
+        if last is not None:
+            ladder = {
+                "warm": partial(solve, last),
+                "cold": solve,
+                "other": partial(solve, last, multipliers=False),
+            }
+        self.attempts = []
+        for start, attempt in ladder.items():
+            plan = self._attempt(start, attempt)
+            if plan.optimal or plan.solution.status is SolutionStatus.PROVEN_INFEASIBLE:
+                break
         self._last = plan if plan.optimal else None
         if not plan.optimal and self.on_infeasible == "elastic":
-            plan = self._twin.solve(time, state, expected=expected)
+            plan = self._attempt("elastic", partial(self._twin.solve, time, state, expected=expected))
+        return plan
+
+    def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
+        plan = solve()
+        solution = plan.solution
+        self.attempts.append(
+            Attempt(start, plan.status, plan.termination, solution.iterations, solution.seconds)
+        )
         return plan
 
     @cached_property
@@ -186,6 +228,11 @@ class Run:
             "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
             "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
             "iterations_mean": float(np.mean(iterations)) if iterations else None,
+            "retries": {
+                str(step): [f"{a['start']}: {a['status']}" for a in plan["attempts"]]
+                for step, plan in enumerate(self.plans)
+                if len(plan["attempts"]) > 1
+            },
             "elastic_steps": sum(plan["status"] == "elastic" for plan in self.plans),
             "diagnosis": {
                 str(step): plan["diagnosis"] for step, plan in enumerate(self.plans) if plan["diagnosis"]
@@ -254,7 +301,7 @@ def simulate(
             for time in range(steps):
                 began = clock.perf_counter()
                 plan = controller.plan(time, state)
-                run.plans.append(_record(plan, clock.perf_counter() - began))
+                run.plans.append(_record(plan, controller.attempts, clock.perf_counter() - began))
                 if not plan.optimal:
                     run.status = plan.status
                     run.termination = f"step {time}: {plan.termination}"
@@ -270,15 +317,16 @@ def simulate(
     return run
 
 
-def _record(plan: Plan, seconds: float) -> dict[str, Any]:
+def _record(plan: Plan, attempts: list[Attempt], seconds: float) -> dict[str, Any]:
     elastic = plan.problem.elastic is not None and plan.optimal
     return {
         "status": "elastic" if elastic else plan.status,
         "diagnosis": [str(shortage) for shortage in plan.shortages] if elastic else [],
         "termination": plan.termination,
-        "solve_seconds": plan.solution.seconds,
+        "solve_seconds": sum(attempt.seconds for attempt in attempts),
         "step_seconds": seconds,
         "iterations": plan.solution.iterations,
+        "attempts": [asdict(attempt) for attempt in attempts],
         "plan_objective": plan.objective,
     }
 
