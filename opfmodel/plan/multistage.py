@@ -1,75 +1,37 @@
-"""Plans: a network, a horizon, a formulation and an objective compiled into one program."""
+"""A network, a horizon, a formulation and an objective compiled into one program."""
 
 from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel import plugins
 from opfmodel.components import Network
-from opfmodel.elastic import Elastic, Shortage, Soft, shortages
-from opfmodel.errors import ModelError, PluginError, QuantityError, nearest
+from opfmodel.elastic import Elastic, Soft
+from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
-from opfmodel.model import Device, Model, NumericStage, Price, Published, Stage
+from opfmodel.model import Device, Model, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
+from opfmodel.plan.constraints import OwnConstraint, PhysicalStage, limit_of, rows_of
+from opfmodel.plan.end import End
+from opfmodel.plan.numbers import Numbers
+from opfmodel.plan.result import Plan
 from opfmodel.profiles.series import Profiles
 from opfmodel.units import scale
-from solvers import (
-    Constraint,
-    Expression,
-    Instance,
-    Program,
-    Session,
-    Solution,
-    SolutionStatus,
-    SolverError,
-    Start,
-    Sum,
-    prepare,
-    total,
-)
+from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare, total
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-__all__ = ["End", "MultiStage", "PhysicalStage", "Plan", "make_devices", "make_formulation", "status_word"]
+__all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
 
 Array = npt.NDArray[np.float64]
 Initial = Mapping[str, "npt.ArrayLike | None"]
-
-
-@dataclass(frozen=True)
-class End:
-    """What is asked of stored energy at the end of the horizon.
-
-    Parameters
-    ----------
-    cyclic
-        As much as at its start: e(N) = e(0).
-    minimum
-        At least this share of the capacity, from 0 to 1.
-    price
-        Value of what is left, $/MWh.
-    """
-
-    cyclic: bool = False
-    minimum: float = 0.0
-    price: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.minimum <= 1.0:
-            raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
-        if not np.isfinite(self.price):
-            raise ModelError(f"end of horizon: price = {self.price!r}: must be a number in $/MWh")
 
 
 class MultiStage:
@@ -160,7 +122,7 @@ class MultiStage:
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
-        self._constraints: dict[str, _Own] = {}
+        self._constraints: dict[str, OwnConstraint] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -212,8 +174,8 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
         if name in self._constraints:
             raise ModelError(f"two constraints are named {name!r}")
-        limits = _limit(name, "at_least", at_least, -np.inf), _limit(name, "at_most", at_most, np.inf)
-        self._constraints[name] = _Own(constraint, *limits)
+        limits = limit_of(name, "at_least", at_least, -np.inf), limit_of(name, "at_most", at_most, np.inf)
+        self._constraints[name] = OwnConstraint(constraint, *limits)
 
     def elastic_twin(self, prices: Elastic | None = None) -> MultiStage:
         """The same problem with limits that give way at a price, to tell what it lacks.
@@ -352,7 +314,7 @@ class MultiStage:
                 last = model.published[f"{state.name}_next"].values[:, -1:]
                 build.minimize(-price * last)
 
-    def _constrain(self, model: Model, name: str, own: _Own) -> None:
+    def _constrain(self, model: Model, name: str, own: OwnConstraint) -> None:
         try:
             stated = own.state(PhysicalStage(model))
         except QuantityError as error:
@@ -370,7 +332,7 @@ class MultiStage:
             raise ModelError(
                 f"constraint {name!r}: there is a price '{name}_price' already; take another name"
             )
-        rows = model.build.constrain(_rows_of(name), stated)
+        rows = model.build.constrain(rows_of(name), stated)
         items, stages = rows.index.shape
         entries, timed = np.arange(items), stages == self.horizon
         soft = Soft(entries, "", "is missed by {}", "is exceeded by {}", timed=timed)
@@ -428,7 +390,7 @@ class MultiStage:
         model, program, session = self._compiled
         end = self.end if end is None else end
         network = self.window(time, self.horizon).with_series(expected or {})
-        numbers = _Numbers(model, program, network)
+        numbers = Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
             raise ModelError(
@@ -449,173 +411,11 @@ class MultiStage:
             numbers.end_with(state.name, end)
         for name, own in self._constraints.items():
             if own.limited:
-                numbers.limit(_rows_of(name), *own.window(name, time, self.horizon))
+                numbers.limit(rows_of(name), *own.window(name, time, self.horizon))
         instance = numbers.instance()
         start = _start(previous, time, multipliers)
         solution = session.solve(instance, start)
         return Plan(self, model, solution, network, time)
-
-
-class _Numbers:
-    """The parameters and bounds of one solve."""
-
-    def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
-        self.model = model
-        self.program = program
-        self.parameters: dict[str, Array] = {
-            name: np.asarray(network.tables[kind].arrays[field])
-            for name, (kind, field) in model.parameters.items()
-        }
-        self.lower: dict[str, Array] = {}
-        self.upper: dict[str, Array] = {}
-        changed = {kind for kind, table in network.tables.items() if table is not model.network.tables[kind]}
-        for name, source in model.bounds.items():
-            if source.kind in changed:
-                low, high = source.resolve(network.tables[source.kind])
-                self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
-
-    def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
-        """Bounds of a stage hold at its end; the first point of a stock has those of the first stage."""
-        stages = (self.program.variables.get(name) or self.program.rows[name]).stages
-        if values.ndim == 2 and values.shape[1] == stages - 1:
-            return np.hstack([values[:, :1], values])
-        if values.ndim == 2 and values.shape[1] > stages:
-            return np.asarray(values[:, -stages:])
-        return values
-
-    def _bounds(self, name: str) -> tuple[Array, Array]:
-        """Bounds of a block as arrays that can be changed."""
-        block = self.program.variables.get(name) or self.program.rows[name]
-        for side, default in ((self.lower, block.lower), (self.upper, block.upper)):
-            side[name] = np.array(block.spread(side.get(name, default)))
-        return self.lower[name], self.upper[name]
-
-    def start_from(self, name: str, values: Array | None, delay: int) -> None:
-        """Fix the initial value of a state, or leave it free."""
-        state = self.model.states[name]
-        if values is not None:
-            values = np.asarray(values, dtype=float)
-            if values.shape != (self.program.variables[name].items,) or np.isnan(values).any():
-                raise ModelError(
-                    f"initial {name}: {self.program.variables[name].items} numbers are needed, "
-                    f"one per {state.kind}, not {values!r}"
-                )
-        if (state.role == "stock" or delay == 1) and values is not None:
-            lower, upper = self._bounds(name)
-            lower[:, 0] = upper[:, 0] = values
-        if f"{name}_ramp_first" in self.program.rows:
-            if values is None or delay == 1:
-                lower, upper = self._bounds(f"{name}_ramp_first")
-                lower[:], upper[:] = -np.inf, np.inf
-            else:
-                self.parameters[f"{name}_previous"] = values[state.ramped]
-
-    def end_with(self, name: str, end: End) -> None:
-        """State what is asked at the end of the horizon."""
-        if self.model.states[name].role == "stock":
-            if end.cyclic:
-                lower, upper = self._bounds(f"{name}_cyclic")
-                lower[:] = upper[:] = 0.0
-            if end.minimum > 0:
-                lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
-                lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
-            self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
-
-    def limit(self, rows: str, lower: Array, upper: Array) -> None:
-        """Give rows their limits, one value per stage."""
-        self.lower[rows], self.upper[rows] = lower[None, :], upper[None, :]
-
-    def instance(self) -> Instance:
-        """The numbers as an instance of the program."""
-        return self.program.instance(self.parameters, self.lower, self.upper)
-
-
-@dataclass(frozen=True)
-class _Own:
-    """A user's constraint: what it limits, and limits that may change from step to step."""
-
-    state: Callable[[Stage], Any]
-    lower: Array
-    upper: Array
-
-    @property
-    def limited(self) -> bool:
-        """Whether limits were given beside the function."""
-        return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
-
-    def window(self, name: str, start: int, stages: int) -> tuple[Array, Array]:
-        """Limits of the stages from a step on."""
-        limits = []
-        for side, values in (("at_least", self.lower), ("at_most", self.upper)):
-            if values.ndim and len(values) < start + stages:
-                raise ModelError(
-                    f"constraint {name!r}: {side} has {len(values)} values; "
-                    f"steps {start} to {start + stages - 1} need {start + stages}"
-                )
-            limits.append(values[start : start + stages] if values.ndim else np.full(stages, values))
-        return limits[0], limits[1]
-
-
-def _limit(name: str, side: str, given: npt.ArrayLike | None, absent: float) -> Array:
-    """A limit as a number or a vector over time steps."""
-    values = np.asarray(absent if given is None else given)
-    if values.ndim > 1 or values.dtype.kind not in "if" or np.isnan(values).any():
-        raise ModelError(
-            f"constraint {name!r}: {side} = {given!r}: must be a number or one number per time step"
-        )
-    return values.astype(float)
-
-
-def _rows_of(name: str) -> str:
-    """Name of the rows of a user's constraint, which no quantity of a formulation or device has."""
-    return f"constraint {name}"
-
-
-class PhysicalStage:
-    """A model whose quantities are in physical units, for users' constraints."""
-
-    def __init__(self, model: Model) -> None:
-        self.network = model.network
-        self.step = model.step
-        self._model = model
-
-    def __getattr__(self, kind: str) -> Any:
-        if kind.startswith("_"):
-            raise AttributeError(kind)
-        if kind not in self.network.tables:
-            raise ModelError(f"there is no kind of component {kind!r}; {nearest(kind, self.network.tables)}")
-        return _PhysicalQuantities(self._model, kind)
-
-    def has(self, name: str) -> bool:
-        """Whether a quantity is published."""
-        return self._model.has(name)
-
-    @property
-    def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h."""
-        return self._model.operating_cost
-
-
-class _PhysicalQuantities:
-    def __init__(self, model: Model, kind: str) -> None:
-        self._model = model
-        self._kind = kind
-
-    def __contains__(self, name: str) -> bool:
-        return name in getattr(self._model, self._kind)
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        value = getattr(getattr(self._model, self._kind), name)
-        table = self._model.network.tables[self._kind]
-        published = self._model.published.get(name)
-        unit = published.unit if published is not None else table.units.get(name, "")
-        return (
-            value
-            if name in table.arrays and table.arrays[name].dtype.kind != "f"
-            else value * scale(unit, table.base_mva)
-        )
 
 
 def _start(previous: Plan | None, time: int, multipliers: bool) -> Start | None:
@@ -655,192 +455,3 @@ def _publishing(quantities: list[str]) -> list[str]:
         except PluginError:
             continue  # "opfmodel list" reports it
     return able
-
-
-# Plans ------------------------------------------------------------------------------------------
-
-
-class Plan:
-    """The result of one solve: trajectories in physical units, status and effort.
-
-    Attributes
-    ----------
-    solution
-        The certified solution of the program.
-    time
-        First step of the plan.
-    """
-
-    def __init__(
-        self, problem: MultiStage, model: Model, solution: Solution, network: PerUnitNetwork, time: int
-    ) -> None:
-        self.problem = problem
-        self.solution = solution
-        self.time = time
-        self._model = model
-        self._network = network
-
-    def __repr__(self) -> str:
-        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}, {self.objective:.6g} $)"
-
-    @property
-    def status(self) -> str:
-        """``globally_optimal``, ``locally_optimal``, ``*_infeasible`` or ``stopped``."""
-        return status_word(self.solution.status)
-
-    @property
-    def termination(self) -> str:
-        """Why the solver stopped."""
-        return f"{self.solution.termination.value} ({self.solution.message})"
-
-    @property
-    def optimal(self) -> bool:
-        """Whether the plan is an optimum."""
-        return self.solution.status.is_optimal
-
-    @cached_property
-    def objective(self) -> float:
-        """Value of the objective in $ over the horizon, without regularisation."""
-        stage = self.stage
-        cost = self.problem.objective.stage_cost(stage)
-        value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
-        terminal = self.problem.objective.terminal_cost(stage)
-        return value + (0.0 if terminal is None else float(np.sum(terminal)))
-
-    @cached_property
-    def stage(self) -> NumericStage:
-        """The quantities of the plan as numbers in per unit, for metering costs."""
-        return NumericStage(self._network, self.problem.step, self.quantities(), self._model.devices)
-
-    def quantities(self) -> dict[tuple[str, str], Array]:
-        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
-
-        And what devices of other packages feed into the buses, as ``("bus", "<kind>_p")`` and ``_q``.
-        """
-        named = {**self._model.published, **self._model.reported}
-        values = {(p.kind, name): self.solution.value(name) for name, p in named.items()}
-        for injection in self._model.injections:
-            power = injection.at_buses(self.solution, self._network)
-            values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
-        return values
-
-    def exceeded(self) -> dict[tuple[str, str], Array]:
-        """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
-        network, stages = self._network, self.problem.horizon
-        return {
-            (slack.kind, name): slack.spread(
-                slack.amount(self.solution.value(name), network), len(network.tables[slack.kind]), stages
-            )
-            for name, slack in self._model.slacks.items()
-            if slack.kind in network.tables and name not in self._model.reported
-        }
-
-    @cached_property
-    def shortages(self) -> tuple[Shortage, ...]:
-        """What an elastic problem lacks, the dearest first; nothing where every limit is hard."""
-        prices = self.problem.elastic
-        if prices is None:
-            return ()
-        slacks, step = self._model.slacks.values(), self.problem.step
-        return shortages(slacks, self.solution.value, self._network, prices, step, self.times)
-
-    def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
-        """The states after the first stage has been applied, in physical units.
-
-        Parameters
-        ----------
-        happened
-            Per-unit values ``(items,)`` by ``(kind, name)`` of the first stage, if it was not what was
-            planned. A dispatch that is committed one stage ahead stays as planned.
-        """
-        out = {}
-        committed = self.problem.generator_delay == 1
-        for state in self._model.states.values():
-            name = f"{state.name}_next" if state.role == "stock" else state.name
-            if happened is not None and (state.role == "stock" or not committed):
-                values = happened[state.kind, name]
-            elif state.role == "stock" or not committed:
-                values = self.solution.value(name)[:, 0]
-            elif self.problem.horizon == 1:
-                raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
-            else:
-                values = self.solution.value(name)[:, 1]
-            out[state.name] = values * scale(state.unit, self._network.base_mva)
-        return out
-
-    def stocks(self) -> dict[str, Array]:
-        """The stocks that the plan starts from, in physical units."""
-        return {
-            state.name: self._points(state.name)[:, 0] * scale(state.unit, self._network.base_mva)
-            for state in self._model.states.values()
-            if state.role == "stock"
-        }
-
-    def decisions(self) -> list[tuple[str, str]]:
-        """Published quantities, by ``(kind, name)``, that are variables: neither stocks nor results."""
-        return [
-            (p.kind, name)
-            for name, p in self._model.published.items()
-            if name in self.solution.program.variables and name not in self.stocks()
-        ]
-
-    def _points(self, name: str) -> Array:
-        return self.solution.program.variables[name].read(self.solution.x)
-
-    @cached_property
-    def data(self) -> xr.Dataset:
-        """All published quantities and the demand, in physical units, over ``time`` and components."""
-        from opfmodel.results import dataset
-
-        described = self.problem.described
-        values = {
-            name: (kind, *described[name], array)
-            for (kind, name), array in {**self.quantities(), **self.prices()}.items()
-        }
-        made = dataset(self._network, values, self.times)
-        made.attrs |= {
-            "network": self._network.name,
-            "formulation": self.problem.formulation.name,
-            "objective": type(self.problem.objective).__name__,
-            "status": self.status,
-            "step_hours": self.problem.step,
-            "cost": self.objective,
-        }
-        made.attrs |= self.relaxation
-        return made
-
-    def price(self, name: str) -> Array:
-        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        return self._model.prices[name].read(self.solution, self._network)
-
-    def prices(self) -> dict[tuple[str, str], Array]:
-        """All shadow prices by ``(kind, name)``; see :meth:`price`."""
-        return {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
-
-    @cached_property
-    def relaxation(self) -> dict[str, float]:
-        """How far the plan is from the equations that its formulation relaxes, by name.
-
-        For ``soc`` the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
-        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax
-        nothing and for plans that are no optimum.
-        """
-        if not self.optimal:
-            return {}
-        return self.problem.formulation.relaxation(self.solution, self._network)
-
-    def relaxation_gap(self, exact: Plan | float) -> float:
-        """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""
-        other = exact.objective if isinstance(exact, Plan) else float(exact)
-        return (other - self.objective) / abs(other)
-
-    @property
-    def times(self) -> Array:
-        """Hours at which the stages begin."""
-        stages = np.arange(self.problem.horizon, dtype=float)
-        return (self.time + stages) * self.problem.step
-
-
-def status_word(status: SolutionStatus) -> str:
-    """A status as the command line and results spell it."""
-    return "stopped" if status is SolutionStatus.NONE else status.value.replace(" ", "_")

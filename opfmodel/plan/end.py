@@ -1,0 +1,36 @@
+"""What is asked of stored energy at the end of the horizon."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opfmodel.errors import ModelError
+
+__all__ = ["End"]
+
+
+@dataclass(frozen=True)
+class End:
+    """What is asked of stored energy at the end of the horizon.
+
+    Parameters
+    ----------
+    cyclic
+        As much as at its start: e(N) = e(0).
+    minimum
+        At least this share of the capacity, from 0 to 1.
+    price
+        Value of what is left, $/MWh.
+    """
+
+    cyclic: bool = False
+    minimum: float = 0.0
+    price: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.minimum <= 1.0:
+            raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
+        if not np.isfinite(self.price):
+            raise ModelError(f"end of horizon: price = {self.price!r}: must be a number in $/MWh")

@@ -1,0 +1,92 @@
+"""The numbers of one solve: parameters and bounds of a compiled program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError
+from opfmodel.model import Model
+from opfmodel.network import PerUnitNetwork
+from opfmodel.plan.end import End
+from solvers import Instance, Program
+
+__all__ = ["Numbers"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Numbers:
+    """The parameters and bounds of one solve."""
+
+    def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
+        self.model = model
+        self.program = program
+        self.parameters: dict[str, Array] = {
+            name: np.asarray(network.tables[kind].arrays[field])
+            for name, (kind, field) in model.parameters.items()
+        }
+        self.lower: dict[str, Array] = {}
+        self.upper: dict[str, Array] = {}
+        changed = {kind for kind, table in network.tables.items() if table is not model.network.tables[kind]}
+        for name, source in model.bounds.items():
+            if source.kind in changed:
+                low, high = source.resolve(network.tables[source.kind])
+                self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
+
+    def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
+        """Bounds of a stage hold at its end; the first point of a stock has those of the first stage."""
+        stages = (self.program.variables.get(name) or self.program.rows[name]).stages
+        if values.ndim == 2 and values.shape[1] == stages - 1:
+            return np.hstack([values[:, :1], values])
+        if values.ndim == 2 and values.shape[1] > stages:
+            return np.asarray(values[:, -stages:])
+        return values
+
+    def _bounds(self, name: str) -> tuple[Array, Array]:
+        """Bounds of a block as arrays that can be changed."""
+        block = self.program.variables.get(name) or self.program.rows[name]
+        for side, default in ((self.lower, block.lower), (self.upper, block.upper)):
+            side[name] = np.array(block.spread(side.get(name, default)))
+        return self.lower[name], self.upper[name]
+
+    def start_from(self, name: str, values: Array | None, delay: int) -> None:
+        """Fix the initial value of a state, or leave it free."""
+        state = self.model.states[name]
+        if values is not None:
+            values = np.asarray(values, dtype=float)
+            if values.shape != (self.program.variables[name].items,) or np.isnan(values).any():
+                raise ModelError(
+                    f"initial {name}: {self.program.variables[name].items} numbers are needed, "
+                    f"one per {state.kind}, not {values!r}"
+                )
+        if (state.role == "stock" or delay == 1) and values is not None:
+            lower, upper = self._bounds(name)
+            lower[:, 0] = upper[:, 0] = values
+        if f"{name}_ramp_first" in self.program.rows:
+            if values is None or delay == 1:
+                lower, upper = self._bounds(f"{name}_ramp_first")
+                lower[:], upper[:] = -np.inf, np.inf
+            else:
+                self.parameters[f"{name}_previous"] = values[state.ramped]
+
+    def end_with(self, name: str, end: End) -> None:
+        """State what is asked at the end of the horizon."""
+        if self.model.states[name].role == "stock":
+            if end.cyclic:
+                lower, upper = self._bounds(f"{name}_cyclic")
+                lower[:] = upper[:] = 0.0
+            if end.minimum > 0:
+                lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
+                lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
+            self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
+
+    def limit(self, rows: str, lower: Array, upper: Array) -> None:
+        """Give rows their limits, one value per stage."""
+        self.lower[rows], self.upper[rows] = lower[None, :], upper[None, :]
+
+    def instance(self) -> Instance:
+        """The numbers as an instance of the program."""
+        return self.program.instance(self.parameters, self.lower, self.upper)

@@ -1,0 +1,212 @@
+"""Plans: the result of one solve, in physical units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.elastic import Shortage, shortages
+from opfmodel.errors import ModelError
+from opfmodel.model import Model, NumericStage
+from opfmodel.network import PerUnitNetwork
+from opfmodel.units import scale
+from solvers import Solution, SolutionStatus
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from opfmodel.plan.multistage import MultiStage
+
+__all__ = ["Plan", "status_word"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Plan:
+    """The result of one solve: trajectories in physical units, status and effort.
+
+    Attributes
+    ----------
+    solution
+        The certified solution of the program.
+    time
+        First step of the plan.
+    """
+
+    def __init__(
+        self, problem: MultiStage, model: Model, solution: Solution, network: PerUnitNetwork, time: int
+    ) -> None:
+        self.problem = problem
+        self.solution = solution
+        self.time = time
+        self._model = model
+        self._network = network
+
+    def __repr__(self) -> str:
+        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}, {self.objective:.6g} $)"
+
+    @property
+    def status(self) -> str:
+        """``globally_optimal``, ``locally_optimal``, ``*_infeasible`` or ``stopped``."""
+        return status_word(self.solution.status)
+
+    @property
+    def termination(self) -> str:
+        """Why the solver stopped."""
+        return f"{self.solution.termination.value} ({self.solution.message})"
+
+    @property
+    def optimal(self) -> bool:
+        """Whether the plan is an optimum."""
+        return self.solution.status.is_optimal
+
+    @cached_property
+    def objective(self) -> float:
+        """Value of the objective in $ over the horizon, without regularisation."""
+        stage = self.stage
+        cost = self.problem.objective.stage_cost(stage)
+        value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
+        terminal = self.problem.objective.terminal_cost(stage)
+        return value + (0.0 if terminal is None else float(np.sum(terminal)))
+
+    @cached_property
+    def stage(self) -> NumericStage:
+        """The quantities of the plan as numbers in per unit, for metering costs."""
+        return NumericStage(self._network, self.problem.step, self.quantities(), self._model.devices)
+
+    def quantities(self) -> dict[tuple[str, str], Array]:
+        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
+
+        And what devices of other packages feed into the buses, as ``("bus", "<kind>_p")`` and ``_q``.
+        """
+        named = {**self._model.published, **self._model.reported}
+        values = {(p.kind, name): self.solution.value(name) for name, p in named.items()}
+        for injection in self._model.injections:
+            power = injection.at_buses(self.solution, self._network)
+            values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
+        return values
+
+    def exceeded(self) -> dict[tuple[str, str], Array]:
+        """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
+        network, stages = self._network, self.problem.horizon
+        return {
+            (slack.kind, name): slack.spread(
+                slack.amount(self.solution.value(name), network), len(network.tables[slack.kind]), stages
+            )
+            for name, slack in self._model.slacks.items()
+            if slack.kind in network.tables and name not in self._model.reported
+        }
+
+    @cached_property
+    def shortages(self) -> tuple[Shortage, ...]:
+        """What an elastic problem lacks, the dearest first; nothing where every limit is hard."""
+        prices = self.problem.elastic
+        if prices is None:
+            return ()
+        slacks, step = self._model.slacks.values(), self.problem.step
+        return shortages(slacks, self.solution.value, self._network, prices, step, self.times)
+
+    def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
+        """The states after the first stage has been applied, in physical units.
+
+        Parameters
+        ----------
+        happened
+            Per-unit values ``(items,)`` by ``(kind, name)`` of the first stage, if it was not what was
+            planned. A dispatch that is committed one stage ahead stays as planned.
+        """
+        out = {}
+        committed = self.problem.generator_delay == 1
+        for state in self._model.states.values():
+            name = f"{state.name}_next" if state.role == "stock" else state.name
+            if happened is not None and (state.role == "stock" or not committed):
+                values = happened[state.kind, name]
+            elif state.role == "stock" or not committed:
+                values = self.solution.value(name)[:, 0]
+            elif self.problem.horizon == 1:
+                raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
+            else:
+                values = self.solution.value(name)[:, 1]
+            out[state.name] = values * scale(state.unit, self._network.base_mva)
+        return out
+
+    def stocks(self) -> dict[str, Array]:
+        """The stocks that the plan starts from, in physical units."""
+        return {
+            state.name: self._points(state.name)[:, 0] * scale(state.unit, self._network.base_mva)
+            for state in self._model.states.values()
+            if state.role == "stock"
+        }
+
+    def decisions(self) -> list[tuple[str, str]]:
+        """Published quantities, by ``(kind, name)``, that are variables: neither stocks nor results."""
+        return [
+            (p.kind, name)
+            for name, p in self._model.published.items()
+            if name in self.solution.program.variables and name not in self.stocks()
+        ]
+
+    def _points(self, name: str) -> Array:
+        return self.solution.program.variables[name].read(self.solution.x)
+
+    @cached_property
+    def data(self) -> xr.Dataset:
+        """All published quantities and the demand, in physical units, over ``time`` and components."""
+        from opfmodel.results import dataset
+
+        described = self.problem.described
+        values = {
+            name: (kind, *described[name], array)
+            for (kind, name), array in {**self.quantities(), **self.prices()}.items()
+        }
+        made = dataset(self._network, values, self.times)
+        made.attrs |= {
+            "network": self._network.name,
+            "formulation": self.problem.formulation.name,
+            "objective": type(self.problem.objective).__name__,
+            "status": self.status,
+            "step_hours": self.problem.step,
+            "cost": self.objective,
+        }
+        made.attrs |= self.relaxation
+        return made
+
+    def price(self, name: str) -> Array:
+        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
+        return self._model.prices[name].read(self.solution, self._network)
+
+    def prices(self) -> dict[tuple[str, str], Array]:
+        """All shadow prices by ``(kind, name)``; see :meth:`price`."""
+        return {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
+
+    @cached_property
+    def relaxation(self) -> dict[str, float]:
+        """How far the plan is from the equations that its formulation relaxes, by name.
+
+        For ``soc`` the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
+        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax
+        nothing and for plans that are no optimum.
+        """
+        if not self.optimal:
+            return {}
+        return self.problem.formulation.relaxation(self.solution, self._network)
+
+    def relaxation_gap(self, exact: Plan | float) -> float:
+        """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""
+        other = exact.objective if isinstance(exact, Plan) else float(exact)
+        return (other - self.objective) / abs(other)
+
+    @property
+    def times(self) -> Array:
+        """Hours at which the stages begin."""
+        stages = np.arange(self.problem.horizon, dtype=float)
+        return (self.time + stages) * self.problem.step
+
+
+def status_word(status: SolutionStatus) -> str:
+    """A status as the command line and results spell it."""
+    return "stopped" if status is SolutionStatus.NONE else status.value.replace(" ", "_")
