@@ -57,7 +57,7 @@ from opfmodel.simulation import (
 )
 from solvers import Kind, SolverError, find
 
-__all__ = ["Scenario", "load_scenario"]
+__all__ = ["Scenario", "laid_over", "load_scenario"]
 
 _PLANTS: dict[str, Callable[..., Plant]] = {
     "nominal": NominalPlant,
@@ -269,16 +269,7 @@ def load_scenario(
         message names file, line, column and what would be accepted.
     """
     document = read_document(path)
-    if not isinstance(document.content, dict):
-        raise document.error((), "a scenario is a mapping with the key 'network' and others")
-    content = deepcopy(document.content)
-    if variant is not None:
-        variants = content.get("variants") or {}
-        if not isinstance(variants, dict) or variant not in variants:
-            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
-        content = _overlay(content, variants[variant])
-    for key, value in (overrides or {}).items():
-        content = _overlay(content, _nested(key.split("."), value))
+    content = laid_over(document, variant, overrides)
     settings = _validate(document, content)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
@@ -312,6 +303,34 @@ def load_scenario(
     _check_constraints(document, scenario.constraints, problem)
     _check_plant(document, scenario)
     return scenario
+
+
+def laid_over(
+    document: Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The keys of a scenario file with a variant and overrides laid over them, not yet checked.
+
+    Parameters
+    ----------
+    variant, overrides
+        As :func:`load_scenario` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        The document is not a mapping, or has no such variant.
+    """
+    if not isinstance(document.content, dict):
+        raise document.error((), "a scenario is a mapping with the key 'network' and others")
+    content = deepcopy(document.content)
+    if variant is not None:
+        variants = content.get("variants") or {}
+        if not isinstance(variants, dict) or variant not in variants:
+            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
+        content = _overlay(content, variants[variant])
+    for key, value in (overrides or {}).items():
+        content = _overlay(content, _nested(key.split("."), value))
+    return content
 
 
 # Reading the parts ------------------------------------------------------------------------------
