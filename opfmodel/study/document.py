@@ -7,7 +7,7 @@ import json
 import math
 from collections import ChainMap
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from opfmodel.scenario import load_scenario
 __all__ = ["Axis", "Study", "Variation", "read_study"]
 
 Changes = Mapping[str, Any]
+Key = tuple[str | int, ...]
 
 
 class _File(BaseModel):
@@ -46,11 +47,14 @@ class Axis:
         What the table shows for each point of the axis.
     changes
         The keys that each point sets.
+    positions
+        Where each point stands in the file.
     """
 
     name: str
     labels: tuple[Any, ...]
     changes: tuple[Changes, ...]
+    positions: tuple[Key, ...]
 
     @property
     def keys(self) -> set[str]:
@@ -99,12 +103,13 @@ class Study:
             yield self.variation(point)
 
     def variation(self, point: tuple[int, ...]) -> Variation:
-        """The run at a point of the grid, given by its position on each axis."""
-        changes = [axis.changes[place] for axis, place in zip(self.axes, point, strict=True)]
+        """The run at a point of the grid, given by its place on each axis, or on the first few."""
+        placed = list(zip(self.axes, point, strict=False))
+        changes = [axis.changes[place] for axis, place in placed]
         keys = {**self.base, **ChainMap(*map(dict, changes))}
         scenario, variant = keys.pop("scenario"), keys.pop("variant", None)
         return Variation(
-            {axis.name: axis.labels[place] for axis, place in zip(self.axes, point, strict=True)},
+            {axis.name: axis.labels[place] for axis, place in placed},
             self.path.parent / str(scenario),
             None if variant is None else str(variant),
             keys,
@@ -135,7 +140,7 @@ def read_study(path: str | Path) -> Study:
     for one, other in itertools.combinations(axes, 2):
         for key in sorted(one.keys & other.keys):
             raise document.error(("vary", other.name), f"{key!r} is varied by {one.name!r} already")
-    if file.scenario is None and not any("scenario" in axis.keys for axis in axes):
+    if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
     study = Study(file.name or document.path.stem, document.path, base, axes)
     _check(document, study)
@@ -144,24 +149,26 @@ def read_study(path: str | Path) -> Study:
 
 def _axis(document: Document, name: str, content: Any) -> Axis:
     """An axis from a list of values of one key, or from named bundles of keys."""
-    key = ("vary", name)
+    key: Key = ("vary", name)
+    labels: tuple[Any, ...]
+    changes: tuple[Changes, ...]
     if isinstance(content, list):
-        labels = tuple(_label(value) for value in content)
-        changes: tuple[Changes, ...] = tuple({name: value} for value in content)
+        labels, places = tuple(_label(value) for value in content), tuple(range(len(content)))
+        changes = tuple({name: value} for value in content)
     elif isinstance(content, dict):
-        for label, bundle in content.items():
-            if bundle is not None and not isinstance(bundle, dict):
-                raise document.error((*key, label), "must be a mapping from dotted keys to values")
-        labels = tuple(content)
-        changes = tuple(bundle or {} for bundle in content.values())
+        labels = places = tuple(content)
+        changes = tuple(content.values())
     else:
         raise document.error(key, "must be a list of values, or a mapping from names to keys and values")
     if not labels:
         raise document.error(key, "needs at least one value")
-    for place, label in enumerate(labels):
-        if (type(label), label) in [(type(other), other) for other in labels[:place]]:
-            raise document.error((*key, place), f"{label!r} is there twice")
-    return Axis(name, labels, changes)
+    positions = tuple((*key, place) for place in places)
+    for number, (label, bundle) in enumerate(zip(labels, changes, strict=True)):
+        if not isinstance(bundle, dict):
+            raise document.error(positions[number], "must be a mapping from dotted keys to values")
+        if (type(label), label) in [(type(other), other) for other in labels[:number]]:
+            raise document.error(positions[number], f"{label!r} is there twice")
+    return Axis(name, labels, changes, positions)
 
 
 def _label(value: Any) -> Any:
@@ -170,22 +177,40 @@ def _label(value: Any) -> Any:
 
 
 def _check(document: Document, study: Study) -> None:
+    """Try every point of every axis, and blame the line of the study that an error came in with."""
     origin = (0,) * len(study.axes)
-    _try(document, study, origin, ("scenario",) if study.base["scenario"] is not None else ("vary",))
+    error = _refusal(study.variation(origin))
+    if error is not None:
+        raise document.error(_culprit(study), str(error)) from error
     for number, axis in enumerate(study.axes):
-        place = ("vary", axis.name)
-        bundles = isinstance(document.content["vary"][axis.name], dict)
-        for point, label in enumerate(axis.labels):
-            here = (*origin[:number], point, *origin[number + 1 :])
-            _try(document, study, here, (*place, str(label) if bundles else point))
+        for place in range(1, len(axis.labels)):
+            error = _refusal(study.variation((*origin[:number], place, *origin[number + 1 :])))
+            if error is not None:
+                raise document.error(axis.positions[place], str(error)) from error
 
 
-def _try(document: Document, study: Study, point: tuple[int, ...], key: tuple[str | int, ...]) -> None:
-    variation = study.variation(point)
-    if variation.scenario == study.path.parent / "None":
-        raise document.error(key, "names no scenario")
+def _culprit(study: Study) -> Key:
+    """What the first run is refused for: the scenario, ``set``, or the first point of an axis."""
+    bare = {key: study.base[key] for key in ("scenario", "variant")}
+    if study.base["scenario"] is not None:
+        if _refusal(replace(study, base=bare).variation(())) is not None:
+            return ("scenario",)
+        if _refusal(study.variation(())) is not None:
+            return ("set",)
+    for number, axis in enumerate(study.axes[:-1]):
+        point = (0,) * (number + 1)
+        known = study.base["scenario"] is not None or any(
+            "scenario" in a.keys for a in study.axes[: number + 1]
+        )
+        if known and _refusal(study.variation(point)) is not None:
+            return axis.positions[0]
+    return study.axes[-1].positions[0]
+
+
+def _refusal(variation: Variation) -> ScenarioError | None:
+    """Why a scenario refuses a variation, if it does."""
     try:
         load_scenario(variation.scenario, variation.variant, variation.overrides)
     except ScenarioError as error:
-        if not isinstance(error.__cause__, ModelError):
-            raise document.error(key, str(error)) from error
+        return None if isinstance(error.__cause__, ModelError) else error
+    return None
