@@ -120,14 +120,14 @@ def run_study(
         options = {"workers": workers, "scheduler": scheduler, "memory": memory, "retry": retry}
         store.begin(runs, {**_about(study), "options": options})
         missing = _missing(store, runs, retry)
-        made: dict[str, Record] = {}
+        made: set[str] = set()
         interrupted = False
         shown = live(study.name, len(missing)) if progress and missing else nullcontext(Watcher())
         with shown as watcher, closing(_crew(missing, watcher, workers, scheduler, memory)) as records:
             try:
                 for record in records:
+                    made.add(record.key)  # first: Ctrl-C may come between the two
                     store.write(record)
-                    made[record.key] = record
                     watcher.finished()
             except KeyboardInterrupt:
                 interrupted = True
@@ -182,12 +182,12 @@ def _about(study: Study) -> dict[str, Any]:
 def _outcome(
     store: Store,
     runs: list[Specification],
-    made: dict[str, Record],
+    made: set[str],
     snapshot: Snapshot,
     interrupted: bool,
     seconds: float,
 ) -> Outcome:
-    records = [(run, made.get(run.key) or store.read(run.key)) for run in runs]
+    records = [(run, store.read(run.key)) for run in runs]
     failures = {
         described(run.labels): str(r.result["error"]) for run, r in records if r is not None and r.failed
     }

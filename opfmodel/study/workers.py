@@ -95,7 +95,7 @@ def on_cluster(
 
     with _quiet():
         try:
-            client = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+            client = Client(scheduler, timeout=_PATIENCE)
         except (OSError, ValueError, TimeoutError) as error:
             raise StudyError(f"no scheduler answers at {scheduler!r}: {error}") from error
         with client:
