@@ -96,24 +96,22 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        faults = [(_path(content, fault["loc"]), fault) for fault in error.errors()]
+        faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]
         # of what the branches of a union complain about, the deepest tells most
         key, fault = max((f for f in faults if f[0][: len(outer)] == outer), key=lambda f: len(f[0]))
         raise document.error(key, _explained(fault, key, model)) from None
 
 
-def _path(content: Any, location: Sequence[str | int]) -> Key:
+def _path(content: Any, fault: Mapping[str, Any]) -> Key:
     """Where an error stands: pydantic's location without the branches of unions that it names."""
     key: list[str | int] = []
-    node = content
-    for number, part in enumerate(location):
-        inside = part in node if isinstance(node, dict) else isinstance(node, list) and isinstance(part, int)
-        if inside:
-            node = node[part]
-        if inside or (number == len(location) - 1 and isinstance(node, dict)):
+    for part in fault["loc"]:
+        inside = isinstance(content, dict) and part in content
+        if inside or (isinstance(content, list) and isinstance(part, int)):
+            content = content[part]
             key.append(part)
-    return tuple(key)
+    return (*key, fault["loc"][-1]) if fault["type"] == "missing" else tuple(key)
 
 
 def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> str:

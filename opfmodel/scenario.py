@@ -16,12 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial
 from opfmodel.constraints import Limited
-from opfmodel.documents import Document, read_document
+from opfmodel.documents import Document, read_document, validated
 from opfmodel.errors import (
     CaseError,
     ComponentError,
@@ -270,7 +270,7 @@ def load_scenario(
     """
     document = read_document(path)
     content = laid_over(document, variant, overrides)
-    settings = _validate(document, content)
+    settings = validated(document, content, _File)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
         network = declarations.network(settings.name or document.path.stem)
@@ -345,39 +345,6 @@ def _overlay(base: Any, over: Any) -> Any:
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:
     return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
-
-
-def _validate(document: Document, content: Any) -> _File:
-    try:
-        return _File.model_validate(content)
-    except ValidationError as error:
-        first = next(e for e in error.errors() if not _other_branch(e))
-        key = tuple(part for part in first["loc"] if not _is_union_tag(part))
-        raise document.error(key, _explain(first, key)) from None
-
-
-def _is_union_tag(part: object) -> bool:
-    """Pydantic puts the branch of a union into the location of an error."""
-    return isinstance(part, str) and (part in ("str", "_Solver") or part.startswith(("dict[", "list[")))
-
-
-def _other_branch(error: Mapping[str, Any]) -> bool:
-    """Whether an error only says that a mapping is not the plain name that a union accepts too."""
-    return error["loc"][-1] == "str" and isinstance(error["input"], dict | list)
-
-
-def _explain(error: Mapping[str, Any], key: tuple[str | int, ...]) -> str:
-    if error["type"] == "extra_forbidden":
-        model: Any = _File
-        for part in key[:-1]:
-            annotation = model.model_fields[str(part)].annotation
-            model = annotation if isinstance(annotation, type) else _Solver
-        return f"unknown key; {nearest(str(key[-1]), model.model_fields)}"
-    if error["type"] == "missing":
-        return "this key is missing"
-    value = error.get("input")
-    shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
-    return f"{shown}{error['msg'][0].lower()}{error['msg'][1:]}"
 
 
 @contextmanager

@@ -274,15 +274,15 @@ def test_parts_that_do_not_fit_together_are_a_row(folder: Path) -> None:
     assert "osqp" in row["error"]
 
 
-def test_an_error_names_the_users_file_and_not_the_copy(folder: Path) -> None:
-    text = TINY.replace("copperplate", "ac, initial_dispatch: single-stage")
-    (folder / "tiny.yaml").write_text(text)
-    (folder / "study.yaml").write_text("scenario: tiny.yaml\nvary: {variant: [null, heavy]}\n")
-    (folder / "demand.csv").write_text(DEMAND.replace("10", "40"))
+def test_a_combination_that_is_refused_is_a_row_that_names_the_users_files(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary: {time.steps: [2, 4], controller.horizon: [1, 3]}\n"
+    )
     run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
-    fine, failed = results(folder / "out")
-    assert fine["status"] == "done"
-    assert failed["error"].startswith(f"{folder / 'tiny.yaml'}: the single-stage optimum of step 0")
+    *fine, refused = results(folder / "out")
+    assert [row["status"] for row in fine] == ["done", "done", "done"]
+    assert refused["error"].startswith(f"{folder / 'tiny.yaml'}:6:")
+    assert refused["error"].endswith(f"{folder / 'demand.csv'}: 4 rows; 6 are needed")
 
 
 def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:

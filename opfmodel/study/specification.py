@@ -21,6 +21,9 @@ from opfmodel.study.provenance import versions
 
 __all__ = ["Inputs", "Snapshot", "Specification"]
 
+# Keys of a scenario that no result depends on once the variant is chosen.
+_WORDS = ("name", "description", "published", "variants")
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -117,7 +120,7 @@ class Snapshot:
             self._documents[path] = read_document(path)
         document = self._documents[path]
         content = laid_over(document, variation.variant, variation.overrides)
-        content = {k: v for k, v in content.items() if k not in ("name", "description", "variants")}
+        content = {k: v for k, v in content.items() if k not in _WORDS}
         return Specification(
             labels=variation.labels,
             variant=variation.variant,
