@@ -591,50 +591,66 @@ def kill_a_worker(pid: int, chance: random.Random) -> int:
     return 1
 
 
-@pytest.mark.slow
-def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
-    undisturbed: tuple[Path, list[dict[str, Any]]], tmp_path: Path
-) -> None:
-    study, expected = undisturbed
-    address_file = tmp_path / "scheduler.json"
-    started = []
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler with two workers on the loopback device: its address and its process."""
+    file, started = tmp_path / "scheduler.json", []
 
     def dask(*arguments: str) -> None:
-        started.append(
-            subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments], cwd=tmp_path, stderr=subprocess.DEVNULL
-            )
-        )
+        command = [sys.executable, "-m", "dask", *arguments, "--no-dashboard"]
+        started.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL))
 
     try:
-        dask(
-            "scheduler",
-            "--host",
-            "127.0.0.1",
-            "--port",
-            "0",
-            "--no-dashboard",
-            "--scheduler-file",
-            str(address_file),
-        )
-        while not address_file.exists():
+        dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        while not file.exists():
             assert started[0].poll() is None
             time.sleep(0.05)
-        address = json.loads(address_file.read_text())["address"]
+        address = json.loads(file.read_text())["address"]
         for name in ("one", "two"):
-            dask("worker", address, "--name", name, "--nthreads", "1", "--no-dashboard")
-        run = ("run", study, "--out", tmp_path / "out", "--scheduler", address, "--json")
-        code, out, err = finish(*run)
-        assert (code, err) == (0, "")
-        assert json.loads(out)["done"] == 24
-        assert results(tmp_path / "out") == expected
-        processes = {row["provenance_process"] for row in read_table(tmp_path / "out")}
-        assert len(processes) == 2
-        assert not processes & {os.getpid()}
+            dask("worker", address, "--name", name, "--nthreads", "1", "--death-timeout", "5")
+        yield address, started[0]
     finally:
         for process in reversed(started):
             process.terminate()
             process.wait()
+
+
+@pytest.mark.slow
+def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
+    undisturbed: tuple[Path, list[dict[str, Any]]],
+    scheduler: tuple[str, subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    study, expected = undisturbed
+    code, out, err = finish("run", study, "--out", tmp_path / "out", "--scheduler", scheduler[0], "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["done"] == 24
+    assert results(tmp_path / "out") == expected
+    processes = {row["provenance_process"] for row in read_table(tmp_path / "out")}
+    assert len(processes) == 2
+    assert not processes & {os.getpid()}
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_is_said_and_finished_runs_are_kept(
+    undisturbed: tuple[Path, list[dict[str, Any]]],
+    scheduler: tuple[str, subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    study, expected = undisturbed
+    out = tmp_path / "out"
+    process = start("run", study, "--out", out, "--scheduler", scheduler[0])
+    wait_for_records(out, 3, process)
+    scheduler[1].kill()
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert (
+        err
+        == f"error: the scheduler at {scheduler[0]} is gone; finished runs are kept: start again to go on\n"
+    )
+    done = [row for row in results(out) if row["status"] != "waiting"]
+    assert 3 <= len(done) < 24
+    assert all(row in expected for row in done)
 
 
 @pytest.mark.slow

@@ -131,6 +131,9 @@ def run_study(
                     watcher.finished()
             except KeyboardInterrupt:
                 interrupted = True
+            except StudyError:
+                store.write_table()
+                raise
         store.write_table()
         return _outcome(store, runs, made, snapshot, interrupted, time.perf_counter() - began)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -112,6 +113,7 @@ def _runs(client: Client, specifications: Sequence[Specification], watcher: Watc
     """Keep every worker busy with one run, and yield the records as they come."""
     from distributed import wait
 
+    address = client.scheduler.address
     waiting = deque(specifications)
     running: dict[Future, Specification] = {}
     try:
@@ -127,7 +129,11 @@ def _runs(client: Client, specifications: Sequence[Specification], watcher: Watc
             except TimeoutError:
                 continue
             for future in done:
-                yield _record(client, future, running.pop(future))
+                yield _record(future, running.pop(future))
+    except (CancelledError, OSError) as error:  # the connection broke
+        raise StudyError(
+            f"the scheduler at {address} is gone; finished runs are kept: start again to go on"
+        ) from error
     finally:
         if client.status == "running":
             client.cancel(list(running), force=True)
@@ -135,8 +141,6 @@ def _runs(client: Client, specifications: Sequence[Specification], watcher: Watc
 
 def _workers(client: Client) -> dict[str, int]:
     """Threads of each worker by address; workers come and go."""
-    if client.status != "running":
-        raise StudyError(f"the scheduler at {client.scheduler.address} is gone; finished runs are kept")
     return dict(client.nthreads())
 
 
@@ -148,14 +152,12 @@ def _work(client: Client, running: dict[Future, Specification]) -> dict[str, Spe
     }
 
 
-def _record(client: Client, future: Future, specification: Specification) -> Record:
+def _record(future: Future, specification: Specification) -> Record:
     from distributed import KilledWorker
 
     if future.status == "finished":
         record: Record = future.result()
         return record
-    if future.status != "error":
-        raise StudyError(f"the scheduler at {client.scheduler.address} lost a run; finished runs are kept")
     error: Any = future.exception()
     if isinstance(error, KilledWorker):
         error = StudyError(
@@ -168,10 +170,12 @@ def _record(client: Client, future: Future, specification: Specification) -> Rec
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask's own talk about connections from standard error."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
+    handlers = logging.getLogger("distributed").handlers
+    before = [handler.level for handler in handlers]
+    for handler in handlers:
+        handler.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        log.setLevel(before)
+        for handler, level in zip(handlers, before, strict=True):
+            handler.setLevel(level)
