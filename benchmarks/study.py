@@ -22,7 +22,8 @@ def study(workers: int, runs: int, steps: int) -> dict[str, Any]:
         path = Path(folder) / "study.yaml"
         weights = [0.01 * (1 + number) for number in range(runs)]  # runs that differ, of nearly equal effort
         path.write_text(
-            f"scenario: {SCENARIO}\nset: {{time.steps: {steps}}}\nvary: {{controller.regularisation: {weights}}}\n",
+            f"scenario: {SCENARIO}\nset: {{time.steps: {steps}}}\n"
+            f"vary: {{controller.regularisation: {weights}}}\n",
             encoding="utf-8",
         )
         loaded = read_study(path)

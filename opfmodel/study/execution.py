@@ -111,11 +111,14 @@ def _figures(specification: Specification) -> dict[str, Any]:
     if run.interrupted:
         raise KeyboardInterrupt
     figures = _flat(run.summary())
-    figures["iterations"] = sum(plan["iterations"] for plan in run.plans)
+    counted = [plan["iterations"] for plan in run.plans if plan["iterations"] is not None]
+    figures["iterations"] = sum(counted) if counted else None
     figures["error"] = None if run.status == "done" else f"{run.status}: {run.termination}"
     if run.steps and "max_violation" not in figures:
         series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
-        figures["max_violation"] = check(scenario.network, run.data, series).max_violation
+        report = check(scenario.network, run.data, series)
+        figures["max_violation"] = report.max_violation
+        figures["unchecked"] = ", ".join(report.unchecked) or None
     return figures
 
 
