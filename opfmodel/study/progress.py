@@ -33,19 +33,24 @@ def live(name: str, runs: int) -> Iterator[Watcher]:
     from rich.console import Console, Group
     from rich.live import Live
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.text import Text
 
     period = 3600.0  # runs can be slow: judge the speed by many of them
     bar = Progress(
-        TextColumn(name),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         speed_estimate_period=period,
     )
-    task = bar.add_task("", total=runs)
+    task = bar.add_task(name, total=runs)
     watcher = _Live(lambda: bar.advance(task))
     with Live(
-        console=Console(stderr=True), transient=True, get_renderable=lambda: Group(*watcher.lines(), bar)
+        console=Console(stderr=True),
+        transient=True,
+        get_renderable=lambda: Group(
+            *(Text(line, no_wrap=True, overflow="ellipsis") for line in watcher.lines()), bar
+        ),
     ):
         yield watcher
 
