@@ -553,16 +553,13 @@ def _print_outcome(name: str, outcome: Outcome) -> None:
     counts = {"done": outcome.done, "failed": outcome.failed, "done before": outcome.skipped}
     if outcome.waiting:
         counts["waiting"] = outcome.waiting
+    status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "not all done"
     for run, error in outcome.failures.items():
         print(f"failed: {run}: {error}", file=sys.stderr)
     _print_pairs(
         {
             "study": name,
-            "status": "interrupted"
-            if outcome.interrupted
-            else "done"
-            if outcome.complete
-            else "not all done",
+            "status": status,
             "runs": f"{outcome.total}: " + ", ".join(f"{count} {what}" for what, count in counts.items()),
             "time": f"{outcome.seconds:.1f} s",
             "table": str(outcome.table),

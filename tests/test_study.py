@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
@@ -24,7 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opfmodel.errors import ResultError, ScenarioError, StudyError
-from opfmodel.study import read_study, read_table, run_study, runner, specification, store
+from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
 from opfmodel.study.specification import Snapshot
 
 CASE5 = SCENARIOS / "case5-step.yaml"
@@ -305,6 +306,23 @@ def test_a_column_takes_values_of_any_types(values: list[Any]) -> None:
     back = store._column(values).to_pylist()
     mixed = len({float if type(v) is int else type(v) for v in values if v is not None}) > 1
     assert back == [json.dumps(v) if mixed and v is not None else v for v in values]
+
+
+def test_nested_figures_become_columns() -> None:
+    figures = {
+        "cost": np.float64(1.5),
+        "plant": {"shed": np.int64(2)},
+        "diagnosis": {"3": ["short"]},
+        "none": {},
+    }
+    flat = execution._flat(figures)
+    assert flat == {"cost": 1.5, "plant.shed": 2, "diagnosis": '{"3": ["short"]}', "none": None}
+    assert [type(value) for value in flat.values()][:2] == [float, int]
+
+
+def test_every_study_of_the_package_is_valid() -> None:
+    counts = {path.stem: len(read_study(path)) for path in (SCENARIOS / "studies").glob("*.yaml")}
+    assert counts == {"ac-versus-dc": 80, "horizon": 8}
 
 
 def test_a_damaged_record_is_said(folder: Path) -> None:

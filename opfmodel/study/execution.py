@@ -134,15 +134,23 @@ def _same_versions(specification: Specification) -> None:
 
 
 def _flat(figures: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as dotted names, NumPy's numbers as Python's, lists as JSON."""
+    """Mappings of numbers as dotted names, NumPy's numbers as Python's, everything else nested as JSON."""
     flat: dict[str, Any] = {}
     for name, value in figures.items():
         plain = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
-        if isinstance(plain, Mapping):
+        if (
+            isinstance(plain, Mapping)
+            and plain
+            and not any(isinstance(v, Mapping | list) for v in plain.values())
+        ):
             flat |= _flat(plain, f"{prefix}{name}.")
         else:
-            flat[f"{prefix}{name}"] = json.dumps(plain) if isinstance(plain, list | tuple) else plain
+            flat[f"{prefix}{name}"] = (json.dumps(plain) if plain else None) if _is_nested(plain) else plain
     return flat
+
+
+def _is_nested(value: Any) -> bool:
+    return isinstance(value, Mapping | list | tuple)
 
 
 def _provenance(specification: Specification) -> dict[str, Any]:

@@ -209,7 +209,7 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
             raise ResultError(f"the table has no column {name!r}; {nearest(name, names)}")
     if wanted:
         return list(wanted)
-    aside = ("key", "termination")
+    aside = ("key", "termination", "diagnosis")
     return [
         name
         for name in names
