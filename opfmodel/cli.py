@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from opfmodel.comparison import Comparison
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
+    from opfmodel.study import Outcome
 
 __all__ = ["app", "main"]
 
@@ -30,9 +33,13 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+study_app = typer.Typer(help="Run one scenario under many variations, and compare.", no_args_is_help=True)
+app.add_typer(study_app, name="study")
+
 FILE = Annotated[
     Path, typer.Argument(help="A network file (MATPOWER .m, PSS/E .raw, ...) or a scenario (.yaml).")
 ]
+STUDY = Annotated[Path, typer.Argument(help="A study file (.yaml).")]
 SCENARIO = Annotated[Path, typer.Argument(help="A scenario file (.yaml).")]
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 VERBOSE = Annotated[
@@ -53,6 +60,13 @@ ON_INFEASIBLE = Annotated[
     ),
 ]
 HORIZON = Annotated[int | None, typer.Option(help="Number of stages.")]
+
+
+class Retry(StrEnum):
+    """Which recorded runs of a study are repeated."""
+
+    FAILED = "failed"
+    ALL = "all"
 
 
 def main() -> NoReturn:
@@ -238,11 +252,13 @@ def table(
 
 @app.command()
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
-    """Check a scenario or network file without solving anything."""
+    """Check a scenario, study or network file without solving anything."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
     from opfmodel.network import per_unit
 
+    if _is_study(file):
+        return _validate_study(file, json_)
     if _is_scenario(file):
         loaded = _scenario(file, variant, set_)
         network = loaded.network
@@ -292,6 +308,62 @@ def list_(json_: JSON = False) -> int:
     for entry in entries:
         table.add_row(entry.sort, entry.name, entry.origin, entry.summary)
     Console().print(table)
+    return 0
+
+
+@study_app.command("run")
+def study_run(
+    study: STUDY,
+    out: Annotated[Path | None, typer.Option(help="Folder of the results; results/NAME by default.")] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            help="Worker processes on this machine; 0: in this process. By default one per processor."
+        ),
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler to use.")] = None,
+    memory: Annotated[str | None, typer.Option(help="What each local worker may use, such as 2GiB.")] = None,
+    retry: Annotated[Retry | None, typer.Option(help="Repeat the runs that failed, or all.")] = None,
+    json_: JSON = False,
+) -> int:
+    """Make the runs of a study that its folder does not have yet."""
+    from opfmodel.study import read_study, run_study
+
+    loaded = read_study(study)
+    outcome = run_study(
+        loaded,
+        Path("results") / loaded.name if out is None else out,
+        workers=workers,
+        scheduler=scheduler,
+        memory=memory,
+        retry=None if retry is None else retry.value,
+        progress=sys.stderr.isatty() and not json_,
+    )
+    _print_notes(outcome.notes)
+    if json_:
+        print(json.dumps(outcome.as_dict()))
+    else:
+        _print_outcome(loaded.name, outcome)
+    return 0 if outcome.complete else 1
+
+
+@study_app.command("table")
+def study_table(
+    folder: Annotated[Path, typer.Argument(help="Folder of a study.")],
+    column: Annotated[
+        list[str] | None, typer.Option(help="A column to show; repeat for several. By default all figures.")
+    ] = None,
+    json_: JSON = False,
+) -> int:
+    """Print the results of a study side by side; also of one that is not finished."""
+    from opfmodel.study import read_table, shown_columns
+
+    rows = read_table(folder)
+    if json_:
+        print(json.dumps({"rows": [{k: _finite(v) for k, v in row.items()} for row in rows]}))
+    else:
+        columns = shown_columns(rows, column)
+        _print_table([columns, *([_cell(row[name]) for name in columns] for row in rows)])
     return 0
 
 
@@ -345,6 +417,27 @@ def _verify(problem: MultiStage, plan: Plan) -> Report:
 
 def _is_scenario(file: Path) -> bool:
     return file.suffix.lower() in (".yaml", ".yml")
+
+
+def _is_study(file: Path) -> bool:
+    from opfmodel.documents import read_document
+
+    if not _is_scenario(file):
+        return False
+    content = read_document(file).content
+    return isinstance(content, dict) and "vary" in content
+
+
+def _validate_study(file: Path, as_json: bool) -> int:
+    from opfmodel.study import read_study
+
+    study = read_study(file)
+    axes = {axis.name: len(axis.labels) for axis in study.axes}
+    if as_json:
+        print(json.dumps({"valid": True, "runs": len(study), "axes": axes}))
+    else:
+        print(f"{file}: valid; {len(study)} runs: " + " x ".join(f"{n} {name}" for name, n in axes.items()))
+    return 0
 
 
 def _scenario(
@@ -454,3 +547,40 @@ def _measured(summary: Mapping[str, Any]) -> dict[str, str]:
     if summary.get("unsolved_steps"):
         shown["no state found"] = f"in {summary['unsolved_steps']} steps"
     return shown
+
+
+def _print_outcome(name: str, outcome: Outcome) -> None:
+    counts = {"done": outcome.done, "failed": outcome.failed, "done before": outcome.skipped}
+    if outcome.waiting:
+        counts["waiting"] = outcome.waiting
+    status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "not all done"
+    for run, error in outcome.failures.items():
+        print(f"failed: {run}: {error}", file=sys.stderr)
+    _print_pairs(
+        {
+            "study": name,
+            "status": status,
+            "runs": f"{outcome.total}: " + ", ".join(f"{count} {what}" for what, count in counts.items()),
+            "time": f"{outcome.seconds:.1f} s",
+            "table": str(outcome.table),
+        }
+    )
+
+
+def _print_table(lines: list[list[str]]) -> None:
+    widths = [max(len(line[place]) for line in lines) for place in range(len(lines[0]))]
+    for line in lines:
+        print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:,.2f}" if abs(value) >= 1e3 else f"{value:.4g}"
+    return str(value)
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no infinity and no nan."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

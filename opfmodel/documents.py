@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
+from pydantic import BaseModel, ValidationError
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-from opfmodel.errors import ScenarioError
+from opfmodel.errors import ScenarioError, nearest
 
-__all__ = ["Document", "read_document"]
+__all__ = ["Document", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
 
 _MOST_BYTES = 20_000_000
 _MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
@@ -80,6 +82,62 @@ def read_document(path: str | Path) -> Document:
     positions: dict[Key, tuple[int, int]] = {}
     reader = _Plain(path, positions)
     return Document(path, reader.convert(tree, ()), positions)
+
+
+def validated(document: Document, content: Any, model: type[Model]) -> Model:
+    """The content of a document, or what became of it, checked by a schema.
+
+    Raises
+    ------
+    ScenarioError
+        An unknown key, a missing one, a wrong type or a value out of range; the message names
+        file, line and column and what would be accepted.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        faults = [(_path(content, fault), fault) for fault in error.errors()]
+        outer = faults[0][0]
+        # of what the branches of a union complain about, the deepest tells most
+        key, fault = max((f for f in faults if f[0][: len(outer)] == outer), key=lambda f: len(f[0]))
+        raise document.error(key, _explained(fault, key, model)) from None
+
+
+def _path(content: Any, fault: Mapping[str, Any]) -> Key:
+    """Where an error stands: pydantic's location without the branches of unions that it names."""
+    key: list[str | int] = []
+    for part in fault["loc"]:
+        inside = isinstance(content, dict) and part in content
+        if inside or (isinstance(content, list) and isinstance(part, int)):
+            content = content[part]
+            key.append(part)
+    return (*key, fault["loc"][-1]) if fault["type"] == "missing" else tuple(key)
+
+
+def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> str:
+    if fault["type"] == "extra_forbidden":
+        return f"unknown key; {nearest(str(key[-1]), _model_at(model, key[:-1]).model_fields)}"
+    if fault["type"] == "missing":
+        return "this key is missing"
+    value = fault.get("input")
+    shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
+    return f"{shown}{fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
+    """The schema of the mapping at a path of keys."""
+    for part in key:
+        if str(part) in model.model_fields:
+            model = next(_models(model.model_fields[str(part)].annotation), model)
+    return model
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The schemas among the alternatives of an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
 
 
 class _Plain:

@@ -18,6 +18,7 @@ __all__ = [
     "QuantityError",
     "ResultError",
     "ScenarioError",
+    "StudyError",
     "nearest",
 ]
 
@@ -111,7 +112,11 @@ class ResultError(OpfmodelError):
 
 
 class ScenarioError(OpfmodelError):
-    """A scenario file breaks its schema; the message names file, line and column."""
+    """A scenario or study file breaks its schema; the message names file, line and column."""
+
+
+class StudyError(OpfmodelError):
+    """A study cannot go on: its folder is in use, or its workers cannot be had."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -18,7 +18,7 @@ from opfmodel.units import scale
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["dataset", "load", "save"]
+__all__ = ["dataset", "load", "replace", "save"]
 
 Array = npt.NDArray[np.float64]
 
@@ -84,9 +84,9 @@ def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _replace(folder / "trajectories.nc", lambda path: data.to_netcdf(path, engine="h5netcdf"))
+        replace(folder / "trajectories.nc", lambda path: data.to_netcdf(path, engine="h5netcdf"))
         text = json.dumps(summary, indent=2) + "\n"
-        _replace(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
+        replace(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
 
@@ -111,10 +111,30 @@ def load(folder: str | Path) -> xr.Dataset:
         raise ResultError(f"{path}: not a result of opfmodel: {error}") from error
 
 
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
+def replace(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file under a temporary name, see that it is on the disk, and rename it.
+
+    Parameters
+    ----------
+    write
+        Writes to the path that it is given.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         write(temporary)
+        _sync(temporary)
         temporary.replace(path)
+        _sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    if path.is_dir() and os.name == "nt":
+        return  # a folder cannot be opened there, and a renamed file is safe
+    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -16,12 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial
 from opfmodel.constraints import Limited
-from opfmodel.documents import Document, read_document
+from opfmodel.documents import Document, read_document, validated
 from opfmodel.errors import (
     CaseError,
     ComponentError,
@@ -57,7 +57,7 @@ from opfmodel.simulation import (
 )
 from solvers import Kind, SolverError, find
 
-__all__ = ["Scenario", "load_scenario"]
+__all__ = ["Scenario", "laid_over", "load_scenario"]
 
 _PLANTS: dict[str, Callable[..., Plant]] = {
     "nominal": NominalPlant,
@@ -269,17 +269,8 @@ def load_scenario(
         message names file, line, column and what would be accepted.
     """
     document = read_document(path)
-    if not isinstance(document.content, dict):
-        raise document.error((), "a scenario is a mapping with the key 'network' and others")
-    content = deepcopy(document.content)
-    if variant is not None:
-        variants = content.get("variants") or {}
-        if not isinstance(variants, dict) or variant not in variants:
-            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
-        content = _overlay(content, variants[variant])
-    for key, value in (overrides or {}).items():
-        content = _overlay(content, _nested(key.split("."), value))
-    settings = _validate(document, content)
+    content = laid_over(document, variant, overrides)
+    settings = validated(document, content, _File)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
         network = declarations.network(settings.name or document.path.stem)
@@ -314,6 +305,34 @@ def load_scenario(
     return scenario
 
 
+def laid_over(
+    document: Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The keys of a scenario file with a variant and overrides laid over them, not yet checked.
+
+    Parameters
+    ----------
+    variant, overrides
+        As :func:`load_scenario` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        The document is not a mapping, or has no such variant.
+    """
+    if not isinstance(document.content, dict):
+        raise document.error((), "a scenario is a mapping with the key 'network' and others")
+    content = deepcopy(document.content)
+    if variant is not None:
+        variants = content.get("variants") or {}
+        if not isinstance(variants, dict) or variant not in variants:
+            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
+        content = _overlay(content, variants[variant])
+    for key, value in (overrides or {}).items():
+        content = _overlay(content, _nested(key.split("."), value))
+    return content
+
+
 # Reading the parts ------------------------------------------------------------------------------
 
 
@@ -326,39 +345,6 @@ def _overlay(base: Any, over: Any) -> Any:
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:
     return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
-
-
-def _validate(document: Document, content: Any) -> _File:
-    try:
-        return _File.model_validate(content)
-    except ValidationError as error:
-        first = next(e for e in error.errors() if not _other_branch(e))
-        key = tuple(part for part in first["loc"] if not _is_union_tag(part))
-        raise document.error(key, _explain(first, key)) from None
-
-
-def _is_union_tag(part: object) -> bool:
-    """Pydantic puts the branch of a union into the location of an error."""
-    return isinstance(part, str) and (part in ("str", "_Solver") or part.startswith(("dict[", "list[")))
-
-
-def _other_branch(error: Mapping[str, Any]) -> bool:
-    """Whether an error only says that a mapping is not the plain name that a union accepts too."""
-    return error["loc"][-1] == "str" and isinstance(error["input"], dict | list)
-
-
-def _explain(error: Mapping[str, Any], key: tuple[str | int, ...]) -> str:
-    if error["type"] == "extra_forbidden":
-        model: Any = _File
-        for part in key[:-1]:
-            annotation = model.model_fields[str(part)].annotation
-            model = annotation if isinstance(annotation, type) else _Solver
-        return f"unknown key; {nearest(str(key[-1]), model.model_fields)}"
-    if error["type"] == "missing":
-        return "this key is missing"
-    value = error.get("input")
-    shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
-    return f"{shown}{error['msg'][0].lower()}{error['msg'][1:]}"
 
 
 @contextmanager

@@ -13,9 +13,9 @@ import os
 from functools import cache
 from pathlib import Path
 
-__all__ = ["use_one_blas_thread"]
+__all__ = ["THREAD_VARIABLES", "use_one_blas_thread"]
 
-_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS")
+THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS")
 
 
 @cache
@@ -27,7 +27,7 @@ def use_one_blas_thread() -> bool:
     bool
         Whether a library was found and set.
     """
-    if any(name in os.environ for name in _VARIABLES):
+    if any(name in os.environ for name in THREAD_VARIABLES):
         return False
     import casadi
 

@@ -146,6 +146,8 @@ class Run:
         ``done``; or the status of the plan that failed, or ``stopped``; finished steps are kept.
     termination
         Why it ended.
+    interrupted
+        Whether that was Ctrl-C.
     """
 
     problem: MultiStage
@@ -154,6 +156,7 @@ class Run:
     steps: list[Step] = field(default_factory=list)
     status: str = "done"
     termination: str = "all steps done"
+    interrupted: bool = False
     build_seconds: float = 0.0
 
     def __repr__(self) -> str:
@@ -313,6 +316,7 @@ def simulate(
                 if on_step is not None:
                     on_step(run)
         except KeyboardInterrupt:
+            run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
     return run
 

@@ -1,0 +1,23 @@
+"""Studies: one scenario under a grid of variations, run on many processes, resumable.
+
+``docs/studies.md`` describes the file and the folder.
+"""
+
+from opfmodel.study.document import Axis, Study, read_study
+from opfmodel.study.execution import Record, execute
+from opfmodel.study.runner import Outcome, run_study
+from opfmodel.study.specification import Specification
+from opfmodel.study.store import read_table, shown_columns
+
+__all__ = [
+    "Axis",
+    "Outcome",
+    "Record",
+    "Specification",
+    "Study",
+    "execute",
+    "read_study",
+    "read_table",
+    "run_study",
+    "shown_columns",
+]

@@ -1,0 +1,216 @@
+"""The study file: a base scenario and the axes along which it varies."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections import ChainMap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from opfmodel.documents import Document, read_document, validated
+from opfmodel.errors import ModelError, ScenarioError
+from opfmodel.scenario import load_scenario
+
+__all__ = ["Axis", "Study", "Variation", "read_study"]
+
+Changes = Mapping[str, Any]
+Key = tuple[str | int, ...]
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    name: str | None = None
+    description: str = ""
+    scenario: str | None = None
+    variant: str | None = None
+    set: dict[str, Any] = Field(default_factory=dict)
+    vary: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One thing that varies.
+
+    Attributes
+    ----------
+    name
+        A dotted key of the scenario, ``scenario`` or ``variant``; or a name of the study's own for
+        bundles of keys.
+    labels
+        What the table shows for each point of the axis.
+    changes
+        The keys that each point sets.
+    positions
+        Where each point stands in the file.
+    """
+
+    name: str
+    labels: tuple[Any, ...]
+    changes: tuple[Changes, ...]
+    positions: tuple[Key, ...]
+
+    @property
+    def keys(self) -> set[str]:
+        """All keys that the axis sets."""
+        return {key for changes in self.changes for key in changes}
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One run of a study: a scenario, one of its variants, and keys laid over it.
+
+    Attributes
+    ----------
+    labels
+        The point on each axis, by the axis' name.
+    """
+
+    labels: Mapping[str, Any]
+    scenario: Path
+    variant: str | None
+    overrides: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file that has been read and checked.
+
+    Attributes
+    ----------
+    base
+        Keys that every run sets unless an axis says otherwise.
+    """
+
+    name: str
+    path: Path
+    base: Changes
+    axes: tuple[Axis, ...]
+
+    def __len__(self) -> int:
+        """Number of runs."""
+        return math.prod(len(axis.labels) for axis in self.axes)
+
+    def variations(self) -> Iterator[Variation]:
+        """All runs; the last axis varies fastest."""
+        for point in itertools.product(*(range(len(axis.labels)) for axis in self.axes)):
+            yield self.variation(point)
+
+    def variation(self, point: tuple[int, ...]) -> Variation:
+        """The run at a point of the grid, given by its place on each axis, or on the first few."""
+        placed = list(zip(self.axes, point, strict=False))
+        changes = [axis.changes[place] for axis, place in placed]
+        keys = {**self.base, **ChainMap(*map(dict, changes))}
+        scenario, variant = keys.pop("scenario"), keys.pop("variant", None)
+        return Variation(
+            {axis.name: axis.labels[place] for axis, place in placed},
+            self.path.parent / str(scenario),
+            None if variant is None else str(variant),
+            keys,
+        )
+
+
+def read_study(path: str | Path) -> Study:
+    """Read a study file and try every point of every axis, the other axes at their first.
+
+    Runs whose parts do not fit together (:class:`ModelError`: an objective that needs what a
+    formulation lacks) are accepted: they become failed rows of the table.
+
+    Raises
+    ------
+    ScenarioError
+        The file breaks its schema, or sets a key that the scenario refuses; the message names
+        file, line and column.
+    """
+    document = read_document(path)
+    if not isinstance(document.content, dict):
+        raise document.error((), "a study is a mapping with the keys 'scenario' and 'vary'")
+    file = validated(document, document.content, _File)
+    for key in ("scenario", "variant"):
+        if key in file.set:
+            raise document.error(("set", key), "is a key of the study itself; write it outside 'set'")
+    base = {"scenario": file.scenario, "variant": file.variant, **file.set}
+    axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
+    for one, other in itertools.combinations(axes, 2):
+        for key in sorted(one.keys & other.keys):
+            raise document.error(("vary", other.name), f"{key!r} is varied by {one.name!r} already")
+    if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
+        raise document.error(("scenario",), "this key is missing")
+    study = Study(file.name or document.path.stem, document.path, base, axes)
+    _check(document, study)
+    return study
+
+
+def _axis(document: Document, name: str, content: Any) -> Axis:
+    """An axis from a list of values of one key, or from named bundles of keys."""
+    key: Key = ("vary", name)
+    labels: tuple[Any, ...]
+    changes: tuple[Changes, ...]
+    if isinstance(content, list):
+        labels, places = tuple(_label(value) for value in content), tuple(range(len(content)))
+        changes = tuple({name: value} for value in content)
+    elif isinstance(content, dict):
+        labels = places = tuple(content)
+        changes = tuple(content.values())
+    else:
+        raise document.error(key, "must be a list of values, or a mapping from names to keys and values")
+    if not labels:
+        raise document.error(key, "needs at least one value")
+    positions = tuple((*key, place) for place in places)
+    for number, (label, bundle) in enumerate(zip(labels, changes, strict=True)):
+        if not isinstance(bundle, dict):
+            raise document.error(positions[number], "must be a mapping from dotted keys to values")
+        if (type(label), label) in [(type(other), other) for other in labels[:number]]:
+            raise document.error(positions[number], f"{label!r} is there twice")
+    return Axis(name, labels, changes, positions)
+
+
+def _label(value: Any) -> Any:
+    """A number, text or None as it is; anything else as JSON."""
+    return value if isinstance(value, str | int | float | None) else json.dumps(value)
+
+
+def _check(document: Document, study: Study) -> None:
+    """Try every point of every axis, and blame the line of the study that an error came in with."""
+    origin = (0,) * len(study.axes)
+    error = _refusal(study.variation(origin))
+    if error is not None:
+        raise document.error(_culprit(study), str(error)) from error
+    for number, axis in enumerate(study.axes):
+        for place in range(1, len(axis.labels)):
+            error = _refusal(study.variation((*origin[:number], place, *origin[number + 1 :])))
+            if error is not None:
+                raise document.error(axis.positions[place], str(error)) from error
+
+
+def _culprit(study: Study) -> Key:
+    """What the first run is refused for: the scenario, ``set``, or the first point of an axis."""
+    bare = {key: study.base[key] for key in ("scenario", "variant")}
+    if study.base["scenario"] is not None:
+        if _refusal(replace(study, base=bare).variation(())) is not None:
+            return ("scenario",)
+        if _refusal(study.variation(())) is not None:
+            return ("set",)
+    for number, axis in enumerate(study.axes[:-1]):
+        point = (0,) * (number + 1)
+        known = study.base["scenario"] is not None or any(
+            "scenario" in a.keys for a in study.axes[: number + 1]
+        )
+        if known and _refusal(study.variation(point)) is not None:
+            return axis.positions[0]
+    return study.axes[-1].positions[0]
+
+
+def _refusal(variation: Variation) -> ScenarioError | None:
+    """Why a scenario refuses a variation, if it does."""
+    try:
+        load_scenario(variation.scenario, variation.variant, variation.overrides)
+    except ScenarioError as error:
+        return None if isinstance(error.__cause__, ModelError) else error
+    return None

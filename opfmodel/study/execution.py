@@ -1,0 +1,162 @@
+"""One run of a study: from a specification to a record."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+import traceback
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from opfmodel.errors import CaseWarning, OpfmodelError, StudyError
+from opfmodel.study.provenance import machine, versions
+from opfmodel.study.specification import Specification
+from solvers import SolverError
+
+__all__ = ["Record", "execute", "failure"]
+
+_ONE_AT_A_TIME = threading.Lock()  # CasADi must not be used from two threads at once
+
+
+@dataclass(frozen=True)
+class Record:
+    """What came out of one run.
+
+    Attributes
+    ----------
+    key
+        Key of its specification.
+    result
+        Flat figures, determined by the key: ``status``, ``termination``, ``error``, ``cost``, ...
+    times
+        Seconds, by names that begin with ``time_``.
+    provenance
+        Where and when it was made, by names that begin with ``provenance_``.
+    """
+
+    key: str
+    result: Mapping[str, Any]
+    times: Mapping[str, float]
+    provenance: Mapping[str, Any]
+
+    @property
+    def failed(self) -> bool:
+        """Whether the closed loop did not reach its end."""
+        return bool(self.result["status"] != "done")
+
+
+def execute(specification: Specification) -> Record:
+    """Run the closed loop of a specification, on a copy of its files.
+
+    Returns
+    -------
+    Record
+        Also of a run that fails, whatever it fails of; the result then has an ``error``.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        The user pressed Ctrl-C; there is no record of half a run.
+    """
+    began = time.perf_counter()
+    with _ONE_AT_A_TIME:
+        try:
+            figures = _figures(specification)
+        except Exception as error:  # a plugin may raise anything, and the study goes on
+            return failure(specification, error, time.perf_counter() - began)
+    times = {f"time_{name}": value for name, value in figures.items() if "seconds" in name}
+    result = {name: value for name, value in figures.items() if "seconds" not in name}
+    return Record(
+        specification.key,
+        result,
+        {**times, "time_total_seconds": time.perf_counter() - began},
+        _provenance(specification),
+    )
+
+
+def failure(specification: Specification, error: BaseException, seconds: float | None = None) -> Record:
+    """The record of a run that ended with an exception."""
+    owned = isinstance(error, OpfmodelError | SolverError)
+    message = str(error) if owned else f"{type(error).__name__}: {error}"
+    detail = {} if owned else {"provenance_traceback": "".join(traceback.format_exception(error))}
+    return Record(
+        specification.key,
+        {"status": "error", "termination": "an exception", "error": message},
+        {} if seconds is None else {"time_total_seconds": seconds},
+        {**_provenance(specification), **detail},
+    )
+
+
+def _figures(specification: Specification) -> dict[str, Any]:
+    from opfmodel.check import check
+    from opfmodel.scenario import load_scenario
+
+    _same_versions(specification)
+    inputs = specification.inputs
+    with inputs.unpacked() as (copy, path), warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaseWarning)  # said when the study was read
+        try:
+            scenario = load_scenario(path, specification.variant, specification.overrides)
+            run = scenario.simulate()
+        except OpfmodelError as error:
+            # the user knows the original, and a result must not depend on where the copy was
+            raise OpfmodelError(str(error).replace(str(copy), str(inputs.root))) from error
+    if run.interrupted:
+        raise KeyboardInterrupt
+    figures = _flat(run.summary())
+    counted = [plan["iterations"] for plan in run.plans if plan["iterations"] is not None]
+    figures["iterations"] = sum(counted) if counted else None
+    figures["error"] = None if run.status == "done" else f"{run.status}: {run.termination}"
+    if run.steps and "max_violation" not in figures:
+        series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+        report = check(scenario.network, run.data, series)
+        figures["max_violation"] = report.max_violation
+        figures["unchecked"] = ", ".join(report.unchecked) or None
+    return figures
+
+
+def _same_versions(specification: Specification) -> None:
+    """Refuse to work under a key that names other versions than those installed here."""
+    here = versions()
+    for package, wanted in specification.versions.items():
+        if here.get(package) != wanted:
+            found = here.get(package, "none")
+            raise StudyError(
+                f"the worker on {machine()['host']} has {package} {found}; the study has {wanted}"
+            )
+
+
+def _flat(figures: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Mappings of numbers as dotted names, NumPy's numbers as Python's, everything else nested as JSON."""
+    flat: dict[str, Any] = {}
+    for name, value in figures.items():
+        plain = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+        if (
+            isinstance(plain, Mapping)
+            and plain
+            and not any(isinstance(v, Mapping | list) for v in plain.values())
+        ):
+            flat |= _flat(plain, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = (json.dumps(plain) if plain else None) if _is_nested(plain) else plain
+    return flat
+
+
+def _is_nested(value: Any) -> bool:
+    return isinstance(value, Mapping | list | tuple)
+
+
+def _provenance(specification: Specification) -> dict[str, Any]:
+    return {
+        "provenance_finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "provenance_process": os.getpid(),
+        **{f"provenance_{name}": value for name, value in machine().items()},
+        "provenance_versions": json.dumps(specification.versions),
+    }

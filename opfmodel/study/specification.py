@@ -1,0 +1,180 @@
+"""What one run is a function of, and the key that stands for it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from opfmodel.documents import Document, read_document
+from opfmodel.errors import ScenarioError
+from opfmodel.scenario import laid_over
+from opfmodel.study.document import Study, Variation
+from opfmodel.study.provenance import versions
+
+__all__ = ["Inputs", "Snapshot", "Specification"]
+
+# Keys of a scenario that no result depends on once the variant is chosen.
+_WORDS = ("name", "description", "published", "variants")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The files of a run as they were when they were read.
+
+    Attributes
+    ----------
+    root
+        A folder that all of them are in.
+    scenario
+        The scenario file, relative to ``root``.
+    files
+        Content by name relative to ``root``.
+    """
+
+    root: Path
+    scenario: str
+    files: Mapping[str, bytes]
+
+    @contextmanager
+    def unpacked(self) -> Iterator[tuple[Path, Path]]:
+        """A temporary copy of the files: its root, and the scenario file in it."""
+        with TemporaryDirectory(prefix="opfmodel-") as folder:
+            copy = Path(folder)
+            for name, content in self.files.items():
+                (copy / name).parent.mkdir(parents=True, exist_ok=True)
+                (copy / name).write_bytes(content)
+            yield copy, copy / self.scenario
+
+    @property
+    def data(self) -> dict[str, str]:
+        """Digest of every file but the scenario, by its name relative to the scenario's folder."""
+        folder = os.path.dirname(self.scenario)  # noqa: PTH120 - a name inside root, not a path
+        return {
+            os.path.relpath(name, folder or "."): hashlib.sha256(content).hexdigest()
+            for name, content in sorted(self.files.items())
+            if name != self.scenario
+        }
+
+
+@dataclass(frozen=True)
+class Specification:
+    """One run: all that its result depends on, and nothing else.
+
+    Attributes
+    ----------
+    labels
+        The point on each axis; names the run, and has no part in the key.
+    variant, overrides
+        What is laid over the scenario.
+    content
+        The keys of the scenario with variant and overrides laid over them.
+    versions
+        Versions of the packages that compute the result.
+    """
+
+    labels: Mapping[str, Any]
+    variant: str | None
+    overrides: Mapping[str, Any]
+    content: Mapping[str, Any]
+    inputs: Inputs
+    versions: Mapping[str, str]
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of content, data files and versions, 32 hexadecimal digits."""
+        text = json.dumps(
+            {"content": self.content, "data": self.inputs.data, "versions": self.versions},
+            sort_keys=True,
+            default=str,  # a date in YAML
+        )
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+class Snapshot:
+    """Reads every file of a study once, so that all its runs see the same content."""
+
+    def __init__(self) -> None:
+        self._documents: dict[Path, Document] = {}
+        self._files: dict[Path, bytes] = {}
+
+    def specifications(self, study: Study) -> list[Specification]:
+        """The runs of a study, in the order of its grid."""
+        return [self._specification(variation) for variation in study.variations()]
+
+    def changed(self) -> list[Path]:
+        """The files that are not any more what they were when they were read."""
+        return [path for path, content in self._files.items() if not _holds(path, content)]
+
+    def _specification(self, variation: Variation) -> Specification:
+        path = variation.scenario
+        if path not in self._documents:
+            self._file(path)
+            self._documents[path] = read_document(path)
+        document = self._documents[path]
+        content = laid_over(document, variation.variant, variation.overrides)
+        content = {k: v for k, v in content.items() if k not in _WORDS}
+        return Specification(
+            labels=variation.labels,
+            variant=variation.variant,
+            overrides=variation.overrides,
+            content=content,
+            inputs=self._inputs(document, content),
+            versions=versions(),
+        )
+
+    def _inputs(self, document: Document, content: Mapping[str, Any]) -> Inputs:
+        """The scenario file and every file that a text in the content names."""
+        folder = document.path.parent
+        paths = [document.path]
+        for key, text in _texts(content):
+            named = folder / text
+            found = [named] if os.path.isfile(named) else _tables(named)  # noqa: PTH113 - any text
+            if found and Path(text).is_absolute():
+                raise document.error(
+                    key, f"{text!r}: a study copies its files: name them relative to the scenario's folder"
+                )
+            paths += found
+        absolute = {os.path.abspath(path): path for path in paths}  # noqa: PTH100 - keep symbolic links
+        root = os.path.commonpath([os.path.dirname(name) for name in absolute])  # noqa: PTH120
+        names = {os.path.relpath(name, root): self._file(path) for name, path in absolute.items()}
+        return Inputs(Path(root), next(iter(names)), names)
+
+    def _file(self, path: Path) -> bytes:
+        if path not in self._files:
+            try:
+                self._files[path] = path.read_bytes()
+            except OSError as error:
+                raise ScenarioError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return self._files[path]
+
+
+def _texts(content: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """All texts in nested mappings and lists, with their path of keys."""
+    if isinstance(content, str):
+        yield key, content
+    elif isinstance(content, Mapping):
+        for part, value in content.items():
+            yield from _texts(value, (*key, part))
+    elif isinstance(content, list):
+        for place, value in enumerate(content):
+            yield from _texts(value, (*key, place))
+
+
+def _tables(folder: Path) -> list[Path]:
+    """The tables of a network that is a folder of them."""
+    return sorted(folder.glob("*.csv")) if os.path.isdir(folder) else []  # noqa: PTH112 - any text
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    try:
+        return path.read_bytes() == content
+    except OSError:
+        return False

@@ -1,0 +1,696 @@
+"""Studies: the file, the key, the folder, and that nothing is lost whatever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from conftest import SCENARIOS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from opfmodel.errors import ResultError, ScenarioError, StudyError
+from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
+from opfmodel.study.specification import Snapshot
+
+CASE5 = SCENARIOS / "case5-step.yaml"
+
+# One unit and one town: the smallest scenario with a data file.
+TINY = """\
+network:
+  buses: {a: {}}
+  generators: {unit: {bus: a, p: [0, 100], cost: {c1: 20}}}
+  loads: {town: {bus: a, p: 50}}
+time: {steps: 2}
+profiles: [{table: {file: demand.csv}}]
+controller: {formulation: copperplate}
+variants: {heavy: {profiles: [{table: {file: demand.csv}}, {scale: {factor: 3}}]}}
+"""
+DEMAND = "town.p\n10\n20\n30\n40\n"
+GRID = """\
+scenario: tiny.yaml
+vary:
+  controller.horizon: [1, 2, 3]
+  demand:
+    measured: {}
+    forecast: {profiles: [{table: {file: other.csv}}]}
+"""
+# 24 runs that differ.
+CASE5_GRID = f"""\
+scenario: {CASE5}
+set: {{time.steps: 3, controller.generator_delay: 0}}
+vary:
+  controller.formulation: [ac, dc]
+  controller.horizon: [2, 3, 4, 5, 6, 8]
+  end: {{free: {{}}, cyclic: {{controller.end.cyclic: true}}}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a tiny study."""
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    (tmp_path / "demand.csv").write_text(DEMAND)
+    (tmp_path / "other.csv").write_text(DEMAND.replace("20", "25"))
+    (tmp_path / "study.yaml").write_text(GRID)
+    return tmp_path
+
+
+def figures(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows without timings and provenance."""
+    return [{k: v for k, v in row.items() if not k.startswith(("time_", "provenance_"))} for row in rows]
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """The figures of a study that has ended, from its Parquet file, which agrees with its records."""
+    rows = figures(pq.read_table(folder / "results.parquet").to_pylist())
+    assert rows == figures(read_table(folder))
+    return rows
+
+
+def keys(study: Path) -> list[str]:
+    return [run.key for run in Snapshot().specifications(read_study(study))]
+
+
+# The file ---------------------------------------------------------------------------------------
+
+
+def test_a_grid_is_the_product_of_its_axes(folder: Path) -> None:
+    study = read_study(folder / "study.yaml")
+    runs = list(study.variations())
+    assert len(study) == len(runs) == 6
+    assert [tuple(run.labels.values()) for run in runs[:3]] == [
+        (1, "measured"),
+        (1, "forecast"),
+        (2, "measured"),
+    ]
+    assert runs[1].overrides == {"controller.horizon": 1, "profiles": [{"table": {"file": "other.csv"}}]}
+
+
+@settings(max_examples=20)
+@given(sizes=st.lists(st.integers(1, 4), min_size=1, max_size=4))
+def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("grid")
+    (folder / "tiny.yaml").write_text(TINY.replace("profiles: [{table: {file: demand.csv}}]\n", ""))
+    axes = dict(zip(("controller.horizon", "time.step", "cost", "controller.end.price"), sizes, strict=False))
+    values = {"cost": [{"economic": {"energy_weight": w}} for w in range(4)]}
+    lines = "".join(f"  {key}: {json.dumps(values.get(key, [1, 2, 3, 4])[:n])}\n" for key, n in axes.items())
+    (folder / "study.yaml").write_text("scenario: tiny.yaml\nvary:\n" + lines)
+    found = keys(folder / "study.yaml")
+    count = 1
+    for size in sizes:
+        count *= size
+    assert len(found) == len(set(found)) == count
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("vary:", "varied:", r"study.yaml:2:1: varied: unknown key; did you mean 'variant' or 'vary'\?"),
+        ("scenario: tiny.yaml", "scenario: 3", r"study.yaml:1:1: scenario: 3: input should be a valid string"),
+        ("scenario: tiny.yaml\n", "", r"study.yaml:1:1: scenario: this key is missing"),
+        ("scenario: tiny.yaml", "scenario: none.yaml", r"study.yaml:1:1: scenario: .*none.yaml: there is no such file"),
+        ("scenario: tiny.yaml", "set: {variant: heavy}", r"set.variant: is a key of the study itself"),
+        ("controller.horizon: [1", "controller.horizn: [1", r"study.yaml:3:23: .*did you mean 'horizon'\?"),
+        ("[1, 2, 3]", "[1, 2, many]", r"study.yaml:3:30: .*'many': input should be a valid integer"),
+        ("[1, 2, 3]", "[1, 2, 2]", r"study.yaml:3:30: vary.controller.horizon.2: 2 is there twice"),
+        ("[1, 2, 3]", "[]", r"study.yaml:3:3: .*needs at least one value"),
+        ("[1, 2, 3]", "4", r"study.yaml:3:3: .*must be a list of values, or a mapping from names"),
+        ("measured: {}", "measured: 5", r"study.yaml:5:5: vary.demand.measured: must be a mapping"),
+        ("measured: {}", "measured: {controller.horizon: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
+        ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: cannot be read"),
+        ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
+        ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, folder: Path) -> None:
+    path = folder / "study.yaml"
+    assert old in GRID
+    path.write_text(GRID.replace(old, new, 1))
+    with pytest.raises(ScenarioError, match=message) as caught:
+        read_study(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "- 1\n", "3\n"])
+def test_a_study_is_a_mapping(text: str, tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text(text)
+    with pytest.raises(ScenarioError, match="a study is a mapping"):
+        read_study(tmp_path / "study.yaml")
+
+
+def test_files_are_named_relative_to_the_scenario(folder: Path) -> None:
+    text = TINY.replace("file: demand.csv", f"file: {folder / 'demand.csv'}")
+    (folder / "tiny.yaml").write_text(text)
+    with pytest.raises(ScenarioError, match=r"tiny.yaml:6:.*demand.csv': a study copies its files"):
+        keys(folder / "study.yaml")
+
+
+# The key ----------------------------------------------------------------------------------------
+
+
+def test_a_comment_a_name_or_another_variant_changes_no_key(folder: Path) -> None:
+    before = keys(folder / "study.yaml")
+    text = TINY.replace("variants:", "variants: {} # of old:").replace("time:", "# hours\ntime:")
+    (folder / "tiny.yaml").write_text("name: other\n" + text)
+    (folder / "study.yaml").write_text(GRID.replace("measured", "renamed"))
+    assert keys(folder / "study.yaml") == before
+
+
+def test_a_changed_file_changes_the_keys_that_depend_on_it(folder: Path) -> None:
+    before = keys(folder / "study.yaml")
+    (folder / "other.csv").write_text(DEMAND.replace("10", "11"))
+    after = keys(folder / "study.yaml")
+    assert [old == new for old, new in zip(before, after, strict=True)] == 3 * [True, False]
+    (folder / "tiny.yaml").write_text(TINY.replace("c1: 20", "c1: 21"))
+    assert not set(after) & set(keys(folder / "study.yaml"))
+
+
+def test_a_folder_of_tables_belongs_to_the_key(folder: Path) -> None:
+    (folder / "grid").mkdir()
+    (folder / "grid" / "buses.csv").write_text("name\n")
+    run = Snapshot().specifications(read_study(folder / "study.yaml"))[0]
+    content = {"network": {"file": "grid"}}
+    reader = Snapshot()
+    inputs = reader._inputs(specification.read_document(folder / "tiny.yaml"), content)
+    assert list(inputs.data) == ["grid/buses.csv"]
+    changed = replace(inputs, files={**inputs.files, "grid/buses.csv": b"name\nx\n"})
+    assert replace(run, inputs=inputs).key != replace(run, inputs=changed).key
+
+
+def test_a_moved_study_keeps_its_keys(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    moved = tmp_path_factory.mktemp("moved") / "deep"
+    shutil.copytree(folder, moved)
+    assert keys(moved / "study.yaml") == keys(folder / "study.yaml")
+
+
+def test_a_new_version_changes_every_key(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = keys(folder / "study.yaml")
+    monkeypatch.setattr(specification, "versions", lambda: {"casadi": "0.0"})
+    assert not set(before) & set(keys(folder / "study.yaml"))
+
+
+def test_a_worker_with_other_versions_is_refused(folder: Path) -> None:
+    from opfmodel.study import execute
+
+    run = Snapshot().specifications(read_study(folder / "study.yaml"))[0]
+    record = execute(replace(run, versions={**run.versions, "casadi": "0.0"}))
+    assert record.failed
+    assert "the study has 0.0" in record.result["error"]
+
+
+# The folder -------------------------------------------------------------------------------------
+
+
+def test_a_study_is_made_once(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    first = run_study(study, out, workers=0)
+    assert (first.total, first.done, first.failed, first.skipped) == (6, 6, 0, 0)
+    rows = results(out)
+    assert [row["cost"] for row in rows] == pytest.approx(
+        [600, 700] * 3
+    )  # 20 $/MWh of 10 + 20, or 10 + 25 MWh
+    assert all(row["status"] == "done" and row["error"] is None for row in rows)
+    assert list(rows[0])[:3] == ["controller.horizon", "demand", "key"]
+    made = {path: path.stat().st_mtime_ns for path in (out / "runs").iterdir()}
+    again = run_study(study, out, workers=0)
+    assert (again.done, again.skipped, again.complete) == (0, 6, True)
+    assert {path: path.stat().st_mtime_ns for path in (out / "runs").iterdir()} == made
+
+
+def test_a_changed_data_file_makes_its_runs_again(folder: Path) -> None:
+    out = folder / "out"
+    run_study(read_study(folder / "study.yaml"), out, workers=0)
+    (folder / "other.csv").write_text(DEMAND)
+    again = run_study(read_study(folder / "study.yaml"), out, workers=0)
+    assert (again.done, again.skipped) == (3, 3)
+    assert [row["cost"] for row in results(out)] == pytest.approx(6 * [600])
+
+
+def test_a_failed_run_is_a_row_and_is_repeated_on_demand(folder: Path) -> None:
+    text = GRID + "  load: {light: {}, heavy: {network.update: {town: {p: 500}}, profiles: []}}\n"
+    (folder / "study.yaml").write_text(
+        text.replace("    forecast: {profiles: [{table: {file: other.csv}}]}\n", "")
+    )
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    outcome = run_study(study, out, workers=0)
+    assert (outcome.done, outcome.failed, outcome.complete) == (3, 3, False)
+    assert next(iter(outcome.failures)) == "controller.horizon=1 demand=measured load=heavy"
+    failed = results(out)[1]
+    assert failed["status"] == "proven_infeasible"
+    assert failed["error"].startswith("proven_infeasible: step 0: ")
+    again = run_study(study, out, workers=0)
+    assert (again.done, again.failed, again.skipped) == (0, 3, 3)
+    made = {path.name: path.stat().st_mtime_ns for path in (out / "runs").iterdir()}
+    run_study(study, out, workers=0, retry="failed")
+    repeated = {p.name for p in (out / "runs").iterdir() if p.stat().st_mtime_ns != made[p.name]}
+    assert repeated == {f"{row['key']}.json" for row in results(out) if row["status"] != "done"}
+    assert run_study(study, out, workers=0, retry="all").done == 3
+
+
+def test_parts_that_do_not_fit_together_are_a_row(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        f"scenario: {CASE5}\nset: {{time.steps: 1, controller.horizon: 2}}\nvary: {{controller.solver: [ipopt, osqp]}}\n"
+    )
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.done, outcome.failed) == (1, 1)
+    row = results(folder / "out")[1]
+    assert (row["status"], row["cost"]) == ("error", None)
+    assert "osqp" in row["error"]
+
+
+def test_a_combination_that_is_refused_is_a_row_that_names_the_users_files(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary: {time.steps: [2, 4], controller.horizon: [1, 3]}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    *fine, refused = results(folder / "out")
+    assert [row["status"] for row in fine] == ["done", "done", "done"]
+    assert refused["error"].startswith(f"{folder / 'tiny.yaml'}:6:")
+    assert refused["error"].endswith(f"{folder / 'demand.csv'}: 4 rows; 6 are needed")
+
+
+def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary: {cost: [economic, {economic: {energy_weight: 1}}]}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    rows = results(folder / "out")
+    assert [row["vary.cost"] for row in rows] == ["economic", '{"economic": {"energy_weight": 1}}']
+    assert [row["cost"] for row in rows] == pytest.approx([600, 600])
+
+
+@given(
+    st.lists(
+        st.none() | st.booleans() | st.integers(-9, 9) | st.floats(allow_nan=False) | st.text(max_size=3),
+        min_size=1,
+    )
+)
+def test_a_column_takes_values_of_any_types(values: list[Any]) -> None:
+    back = store._column(values).to_pylist()
+    mixed = len({float if type(v) is int else type(v) for v in values if v is not None}) > 1
+    assert back == [json.dumps(v) if mixed and v is not None else v for v in values]
+
+
+def test_nested_figures_become_columns() -> None:
+    figures = {
+        "cost": np.float64(1.5),
+        "plant": {"shed": np.int64(2)},
+        "diagnosis": {"3": ["short"]},
+        "none": {},
+    }
+    flat = execution._flat(figures)
+    assert flat == {"cost": 1.5, "plant.shed": 2, "diagnosis": '{"3": ["short"]}', "none": None}
+    assert [type(value) for value in flat.values()][:2] == [float, int]
+
+
+def test_every_study_of_the_package_is_valid() -> None:
+    counts = {path.stem: len(read_study(path)) for path in (SCENARIOS / "studies").glob("*.yaml")}
+    assert counts == {"ac-versus-dc": 80, "horizon": 8}
+
+
+def test_a_damaged_record_is_said(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    record = next((out / "runs").iterdir())
+    record.write_text(record.read_text()[:50])
+    with pytest.raises(ResultError, match=f"{record.name}: not the record of a run; delete it"):
+        run_study(study, out, workers=0)
+    record.unlink()
+    assert run_study(study, out, workers=0).done == 1
+
+
+def test_a_folder_without_a_study_is_said(tmp_path: Path) -> None:
+    with pytest.raises(
+        ResultError, match=r"study.json: there is no such file; 'opfmodel study run' writes it"
+    ):
+        read_table(tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_said(folder: Path) -> None:
+    (folder / "out").write_text("in the way")
+    with pytest.raises(ResultError, match="out: results cannot be written: "):
+        run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
+def test_a_folder_without_permission_is_said(folder: Path) -> None:
+    (folder / "out").mkdir(mode=0o500)
+    with pytest.raises(ResultError, match="out: results cannot be written: Permission denied"):
+        run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+
+
+def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, folder / "undisturbed", workers=0)
+    undisturbed = runner.in_this_process
+
+    def edited(*arguments: Any) -> Iterator[Any]:
+        for number, record in enumerate(undisturbed(*arguments)):
+            if number == 1:
+                (folder / "other.csv").write_text("junk")
+                (folder / "tiny.yaml").write_text("junk")
+            yield record
+
+    monkeypatch.setattr(runner, "in_this_process", edited)
+    outcome = run_study(study, out, workers=0)
+    assert outcome.done == 6
+    assert [note.split()[0] for note in outcome.notes] == [
+        str(folder / n) for n in ("tiny.yaml", "other.csv")
+    ]
+    assert "changed after the study had read it" in outcome.notes[0]
+    assert results(out) == results(folder / "undisturbed")
+
+
+@pytest.mark.parametrize("options", [{"workers": -1}, {"workers": 2, "scheduler": "tcp://127.0.0.1:1"}])
+def test_options_that_do_not_fit_are_refused(options: dict[str, Any], folder: Path) -> None:
+    with pytest.raises(StudyError, match="workers"):
+        run_study(read_study(folder / "study.yaml"), folder / "out", **options)
+
+
+# The command, and what may happen to it ----------------------------------------------------------
+
+
+def start(*arguments: object, **options: Any) -> subprocess.Popen[str]:
+    """``opfmodel study`` in a process group of its own, as from a terminal."""
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from opfmodel import cli; cli.main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "study", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **options,
+    )
+
+
+def finish(*arguments: object, **options: Any) -> tuple[int, str, str]:
+    process = start(*arguments, **options)
+    out, err = process.communicate()
+    return process.returncode, out, err
+
+
+def wait_for_records(out: Path, count: int, process: subprocess.Popen[str]) -> None:
+    while len(list((out / "runs").glob("*.json"))) < count:
+        assert process.poll() is None
+        time.sleep(0.01)
+
+
+def test_the_command_prints_counts_and_a_table(folder: Path) -> None:
+    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
+    code, out, err = finish(*run, "--json")
+    assert (code, err) == (0, "")
+    counts = json.loads(out)
+    assert {k: counts[k] for k in ("total", "done", "failed", "skipped")} == {
+        "total": 6,
+        "done": 6,
+        "failed": 0,
+        "skipped": 0,
+    }
+    code, out, err = finish(*run)
+    assert (code, err) == (0, "")
+    assert "runs    6: 0 done, 0 failed, 6 done before" in out
+    code, out, err = finish("table", folder / "out", "--json")
+    assert [row["cost"] for row in json.loads(out)["rows"]] == pytest.approx([600, 700] * 3)
+    code, out, err = finish("table", folder / "out")
+    assert out.splitlines()[0].split()[:4] == ["controller.horizon", "demand", "status", "cost"]
+    assert out.splitlines()[2].split()[:4] == ["1", "forecast", "done", "700"]
+    code, out, err = finish("table", folder / "out", "--column", "demand", "--column", "steps")
+    assert out.splitlines()[1].split() == ["measured", "2"]
+    code, out, err = finish("table", folder / "out", "--column", "csot")
+    assert (code, err) == (2, "error: the table has no column 'csot'; did you mean 'cost'?\n")
+
+
+def test_a_study_is_validated_without_running(folder: Path) -> None:
+    code = "from opfmodel import cli; cli.main()"
+    command = [sys.executable, "-c", code, "validate", str(folder / "study.yaml"), "--json"]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert json.loads(out) == {"valid": True, "runs": 6, "axes": {"controller.horizon": 3, "demand": 2}}
+
+
+def test_two_studies_on_one_folder_and_a_lock_whose_holder_died(folder: Path) -> None:
+    (folder / "slow.yaml").write_text(
+        f"scenario: {CASE5}\nvary: {{controller.regularisation: [1, 2, 3, 4]}}\n"
+    )
+    out = folder / "out"
+    holder = start("run", folder / "slow.yaml", "--out", out, "--workers", 0)
+    wait_for_records(out, 1, holder)
+    code, _, err = finish("run", folder / "study.yaml", "--out", out, "--workers", 0)
+    assert code == 2
+    assert f"error: {out}: a study is running in this folder (process {holder.pid} on " in err
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.communicate()
+    code, _, err = finish("run", folder / "study.yaml", "--out", out, "--workers", 0)
+    assert (code, err) == (0, "")
+    assert len(results(out)) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [0, 2])
+def test_ctrl_c_keeps_finished_runs(workers: int, folder: Path) -> None:
+    (folder / "slow.yaml").write_text(
+        f"scenario: {CASE5}\nset: {{time.steps: 20}}\nvary: {{controller.regularisation: [1, 2, 3, 4, 5, 6, 7, 8]}}\n"
+    )
+    run = ("run", folder / "slow.yaml", "--out", folder / "out", "--workers", workers, "--json")
+    process = start(*run)
+    wait_for_records(folder / "out", 2, process)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    counts = json.loads(out)
+    assert (process.returncode, counts["interrupted"], err) == (1, True, "")
+    assert 2 <= counts["done"] < 8
+    assert counts["waiting"] == 8 - counts["done"]
+    assert [row["status"] for row in read_table(folder / "out")].count("done") == counts["done"]
+    code, out, _ = finish(*run)
+    assert (code, json.loads(out)["skipped"]) == (0, counts["done"])
+
+
+def test_a_file_that_may_not_grow_stops_the_study_and_keeps_what_is_there(folder: Path) -> None:
+    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
+    assert finish(*run)[0] == 0
+    (folder / "other.csv").write_text(DEMAND.replace("10", "15"))
+
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # below what study.json needs
+
+    code, _, err = finish(*run, preexec_fn=small)
+    assert code == 2
+    assert "results cannot be written: File too large; the 6 finished runs in" in err
+    assert err.count("\n") == 1
+    assert len(results(folder / "out")) == 6
+    assert not list((folder / "out").glob(".*"))
+    code, out, _ = finish(*run, "--json")
+    assert (code, json.loads(out)["done"], json.loads(out)["skipped"]) == (0, 3, 3)
+
+
+FULL_DISK = """
+set -e
+mount -t tmpfs -o size=20k none "$1"
+"$2" -c "$3" study run "$4" --out "$1" --workers 0 && exit 9
+ls "$1/runs" | wc -l
+mount -o remount,size=10m "$1"
+"$2" -c "$3" study run "$4" --out "$1" --workers 0 --json
+"$2" -c "$3" study table "$1" --json
+"""
+
+
+def in_own_mounts(*command: str) -> list[str]:
+    return ["unshare", "--user", "--map-root-user", "--mount", *command]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("unshare") is None
+    or subprocess.run(in_own_mounts("true"), check=False, capture_output=True).returncode != 0,
+    reason="needs a mount namespace for a disk of its own",
+)
+def test_a_full_disk_stops_the_study_and_keeps_what_is_there(folder: Path) -> None:
+    (folder / "disk").mkdir()
+    run_study(read_study(folder / "study.yaml"), folder / "undisturbed", workers=0)
+    code = "from opfmodel import cli; cli.main()"
+    done = subprocess.run(
+        in_own_mounts(
+            "sh",
+            "-c",
+            FULL_DISK,
+            "sh",
+            str(folder / "disk"),
+            sys.executable,
+            code,
+            str(folder / "study.yaml"),
+        ),
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    kept, counts, table = done.stdout.splitlines()
+    assert f"results cannot be written: No space left on device; the {kept} finished runs in" in done.stderr
+    assert 1 <= int(kept) < 6
+    assert json.loads(counts)["skipped"] == int(kept)
+    expected = results(folder / "undisturbed")
+    assert [{k: row[k] for k in expected[0]} for row in json.loads(table)["rows"]] == expected
+
+
+# Workers ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
+    """A study of 24 runs, and its results made in one process without any trouble."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    (folder / "study.yaml").write_text(CASE5_GRID)
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.total, outcome.done) == (24, 24)
+    return folder / "study.yaml", results(folder / "out")
+
+
+@pytest.mark.slow
+def test_whatever_is_killed_nothing_is_lost(
+    undisturbed: tuple[Path, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    study, expected = undisturbed
+    chance = random.Random(1)
+    out = tmp_path / "out"
+    run = ("run", study, "--out", out, "--workers", 2, "--json")
+    resumed = workers_killed = 0
+    for _ in range(20):
+        process = start(*run)
+        deadline = time.monotonic() + chance.uniform(0.0, 10.0)
+        kill_worker_at = time.monotonic() + chance.uniform(1.0, 8.0)
+        while time.monotonic() < deadline and process.poll() is None:
+            if time.monotonic() > kill_worker_at:
+                workers_killed += kill_a_worker(process.pid, chance)
+                kill_worker_at = float("inf")
+            time.sleep(0.01)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        if (out / "study.json").exists():
+            done = [row for row in figures(read_table(out)) if row["status"] != "waiting"]
+            assert all(row in expected for row in done)
+            resumed += 0 < len(done) < 24
+            if len(done) == 24:
+                assert done == expected
+                shutil.rmtree(out)
+    code, printed, _ = finish(*run)
+    assert (code, json.loads(printed)["failed"]) == (0, 0)
+    assert results(out) == expected
+    assert resumed >= 3
+    assert workers_killed >= 3
+
+
+def kill_a_worker(pid: int, chance: random.Random) -> int:
+    """Kill one worker process, if there is one yet; how many were."""
+    try:
+        children = psutil.Process(pid).children(recursive=True)
+        workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        if not workers:
+            return 0
+        chance.choice(workers).kill()
+    except psutil.NoSuchProcess:
+        return 0
+    return 1
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler with two workers on the loopback device: its address and its process."""
+    file, started = tmp_path / "scheduler.json", []
+
+    def dask(*arguments: str) -> None:
+        command = [sys.executable, "-m", "dask", *arguments, "--no-dashboard"]
+        started.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL))
+
+    try:
+        dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        while not file.exists():
+            assert started[0].poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        for name in ("one", "two"):
+            dask("worker", address, "--name", name, "--nthreads", "1", "--death-timeout", "5")
+        yield address, started[0]
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
+
+
+@pytest.mark.slow
+def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
+    undisturbed: tuple[Path, list[dict[str, Any]]],
+    scheduler: tuple[str, subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    study, expected = undisturbed
+    code, out, err = finish("run", study, "--out", tmp_path / "out", "--scheduler", scheduler[0], "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["done"] == 24
+    assert results(tmp_path / "out") == expected
+    processes = {row["provenance_process"] for row in read_table(tmp_path / "out")}
+    assert len(processes) == 2
+    assert not processes & {os.getpid()}
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_is_said_and_finished_runs_are_kept(
+    undisturbed: tuple[Path, list[dict[str, Any]]],
+    scheduler: tuple[str, subprocess.Popen[bytes]],
+    tmp_path: Path,
+) -> None:
+    study, expected = undisturbed
+    out = tmp_path / "out"
+    process = start("run", study, "--out", out, "--scheduler", scheduler[0])
+    wait_for_records(out, 3, process)
+    scheduler[1].kill()
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert (
+        err
+        == f"error: the scheduler at {scheduler[0]} is gone; finished runs are kept: start again to go on\n"
+    )
+    done = [row for row in results(out) if row["status"] != "waiting"]
+    assert 3 <= len(done) < 24
+    assert all(row in expected for row in done)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("opfmodel.study.workers._PATIENCE", 1.0)
+    for address in ("tcp://127.0.0.1:9", "nonsense"):
+        with pytest.raises(StudyError, match=f"no scheduler answers at '{address}'"):
+            run_study(read_study(folder / "study.yaml"), folder / "out", scheduler=address)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_of_memory_fails_its_run_alone(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        f"scenario: {CASE5}\nset: {{time.steps: 1, controller.generator_delay: 0}}\n"
+        "vary: {controller.horizon: [2, 60000, 3, 4]}\n"
+    )
+    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 1, "--memory", "600MB")
+    code, out, err = finish(*run)
+    assert code == 1
+    assert (
+        "failed: controller.horizon=60000: 3 workers died over this run, most likely for want of memory"
+        in err
+    )
+    assert [row["status"] for row in read_table(folder / "out")] == ["done", "error", "done", "done"]
+    assert "4: 3 done, 1 failed" in out
