@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
 from solvers.errors import UnknownSolverError, UnsupportedProgramError
 from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
+from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, Structure, classify, curvature_varies
 
 __all__ = [
@@ -193,8 +195,39 @@ def prepare(
     _check_accepted(program, structure, end, name)
     session = end.prepare(program, solver_name, dict(options or {}), verbose)
     if end.accepts < Kind.NONLINEAR and curvature_varies(program):
-        return _ConvexSession(session, program, end, name)
+        session = _ConvexSession(session, program, end, name)
+    if solver == "auto" and name != _LAST_RESORT:
+        return _SecondOpinion(session, lambda: prepare(program, _LAST_RESORT, None, verbose))
     return session
+
+
+class _SecondOpinion:
+    """A session whose failures, where the choice of the back end was ours, another one tries to mend.
+
+    What the first back end proves or finds stands; only an answer without a result is asked again.
+    """
+
+    def __init__(self, session: Session, other: Callable[[], Session]) -> None:
+        self._session = session
+        self._prepare = other
+
+    @cached_property
+    def _other(self) -> Session:
+        return self._prepare()
+
+    def solve(self, instance: Instance, start: Start | None = None) -> Solution:
+        """Solve, by the other back end too if the first finds nothing."""
+        solution = self._session.solve(instance, start)
+        if solution.status is not SolutionStatus.NONE or solution.termination in _ENDED_BY_WILL:
+            return solution
+        second = self._other.solve(instance, start)
+        if not second.status.is_optimal:
+            return solution
+        return replace(
+            second,
+            message=f"{second.message}, after {solution.solver} failed: {solution.message}",
+            seconds=solution.seconds + second.seconds,
+        )
 
 
 class _ConvexSession:
@@ -228,6 +261,14 @@ def _check_accepted(program: Program, structure: Structure, end: BackEnd, name: 
     )
 
 
+# What "auto" turns to where the back end that it prefers finds nothing.
+_LAST_RESORT = "ipopt"
+_ENDED_BY_WILL = (
+    TerminationCondition.INTERRUPTED,
+    TerminationCondition.ITERATION_LIMIT,
+    TerminationCondition.TIME_LIMIT,
+    TerminationCondition.UNBOUNDED,
+)
 # Up to how many variables "auto" prefers Clarabel, which certifies optima and infeasibility of convex
 # programs, to IPOPT, which is faster on large ones. docs/backends.md has the measurements.
 _MOST_FOR_QP = 5_000
@@ -239,11 +280,11 @@ def choose(program: Program, kind: Kind) -> str:
     if kind <= Kind.QUADRATIC and program.n_variables <= _MOST_FOR_QP:
         wanted = "qp"
     elif kind <= Kind.CONIC and program.n_variables <= _MOST_FOR_CONIC:
-        wanted = "conic" if kind == Kind.CONIC else "ipopt"
+        wanted = "conic" if kind == Kind.CONIC else _LAST_RESORT
     else:
-        wanted = "ipopt"
+        wanted = _LAST_RESORT
     end = back_ends().get(wanted)
-    return wanted if end is not None and installed(end) else "ipopt"
+    return wanted if end is not None and installed(end) else _LAST_RESORT
 
 
 def _blocks(names: tuple[str, ...]) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import solvers
 from solvers import ProgramBuilder, SolutionStatus, TerminationCondition, total
+from solvers.backends.qp import QPSession
 
 
 def rosenbrock(**bounds) -> solvers.Program:
@@ -129,6 +132,36 @@ def test_an_unknown_solver_is_refused_with_what_is_installed() -> None:
         solvers.UnknownSolverError, match=r"no solver 'nonsense' here; installed are: .*ipopt"
     ):
         solvers.solve(rosenbrock(), "nonsense")
+
+
+@pytest.mark.parametrize(
+    ("termination", "asked_again"),
+    [
+        (TerminationCondition.NUMERICAL_FAILURE, True),
+        (TerminationCondition.ERROR, True),
+        (TerminationCondition.TIME_LIMIT, False),
+        (TerminationCondition.INTERRUPTED, False),
+    ],
+)
+def test_auto_asks_another_back_end_where_the_first_finds_nothing(
+    termination: TerminationCondition, asked_again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 2, lower=1.0, upper=4.0)
+    build.minimize((x - 3.0) ** 2)
+    program = build.build()
+    sessions = {name: solvers.prepare(program, name) for name in ("auto", "qp")}
+    solve = QPSession.solve
+
+    def failing(self, *given) -> solvers.Solution:
+        found = solve(self, *given)
+        return replace(found, termination=termination, status=SolutionStatus.NONE, message="lost")
+
+    monkeypatch.setattr(QPSession, "solve", failing)
+    solution = sessions["auto"].solve(program.default)
+    assert solution.status.is_optimal is asked_again
+    assert ("clarabel failed: lost" in solution.message) is asked_again
+    assert sessions["qp"].solve(program.default).status is SolutionStatus.NONE  # the user's own choice stands
 
 
 def test_another_plugin_of_casadi_solves_the_same_program() -> None:
