@@ -2,11 +2,12 @@
 # make test   install what the tests need and run them
 # make check  style, types, layers
 # make table  run the closed loops of the paper's four systems and write docs/paper-table.md
+# make bench  measure everything in benchmarks/ on an idle machine and write docs/benchmarks.md
 # make pglib  solve every PGLib case at hand and write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test test-slow check table pglib clean
+.PHONY: run test test-slow check table bench pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -26,6 +27,10 @@ check: .venv/.check
 table: .venv/.run
 	$(BIN)/python -m benchmarks.paper
 
+bench: .venv/.bench
+	for name in compile receding growth peers warm_start profile backends study page; do \
+		$(BIN)/python -m benchmarks.$$name || exit 1; done
+
 pglib: .venv/.run
 	$(BIN)/python -m benchmarks.pglib
 
@@ -44,6 +49,10 @@ clean:
 
 .venv/.test: .venv/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+.venv/.bench: .venv/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[benchmark]'
 	touch $@
 
 .venv/.check: .venv/.run

@@ -12,11 +12,12 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["arguments", "machine", "measure", "median", "report", "timed"]
+__all__ = ["RESULTS", "arguments", "format_cell", "machine", "measure", "median", "report", "timed"]
 
 RESULTS = Path(__file__).parent / "results"
 PACKAGES = (
@@ -123,7 +124,7 @@ def _processor() -> str:
 def report(name: str, rows: list[dict[str, Any]], goals: dict[str, Any] | None = None) -> None:
     """Print the rows as a table and write them, with the machine, to ``benchmarks/results``."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = [columns, *([_cell(row.get(c)) for c in columns] for row in rows)]
+    table = [columns, *([format_cell(row.get(c)) for c in columns] for row in rows)]
     widths = [max(len(line[i]) for line in table) for i in range(len(columns))]
     for line in table:
         print(
@@ -133,13 +134,20 @@ def report(name: str, rows: list[dict[str, Any]], goals: dict[str, Any] | None =
             )
         )
     for goal, value in (goals or {}).items():
-        print(f"{goal}: {_cell(value)}")
+        print(f"{goal}: {format_cell(value)}")
     RESULTS.mkdir(exist_ok=True)
-    content = {"benchmark": name, "machine": machine(), "rows": rows, "goals": goals or {}}
+    content = {
+        "benchmark": name,
+        "date": f"{date.today():%Y-%m-%d}",
+        "machine": machine(),
+        "rows": rows,
+        "goals": goals or {},
+    }
     (RESULTS / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _cell(value: Any) -> str:
+def format_cell(value: Any) -> str:
+    """A value as tables show it."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -1,0 +1,140 @@
+"""Ways to start the next problem of a receding horizon: iterations and time of each.
+
+python -m benchmarks.warm_start
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import arguments, measure, report
+
+SCENARIOS = Path(__file__).parent.parent / "scenarios"
+# First step and number of steps that are solved of each system.
+WINDOWS = {
+    "case5-step": (0, 12),
+    "case5-random": (0, 14),
+    "case118-step": (2, 5),
+    "case118-random": (8, 6),
+}
+PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+
+
+def pushed(push: float, **options: Any) -> dict[str, Any]:
+    """Options of IPOPT for a warm start that is moved off its bounds by ``push``."""
+    return {f"warm_start_{name}": push for name in PUSHES} | options
+
+
+# Stages at the end that stay in place (None: the last is repeated), and what is given to IPOPT.
+STARTS: dict[str, tuple[int | None, dict[str, Any]]] = {
+    "last stage repeated, push 1e-6": (None, pushed(1e-6)),
+    "last stage stays, push 1e-6": (1, pushed(1e-6)),
+    "last 8 stages stay, push 1e-6": (8, pushed(1e-6)),
+    "last stage stays, push 1e-3": (1, pushed(1e-3)),
+    "last stage stays, push 1e-2 (the default)": (1, {}),
+    "last stage stays, push 1e-1": (1, pushed(1e-1)),
+    "last stage stays, push 1e-3, mu_init 1e-3": (1, pushed(1e-3, mu_init=1e-3)),
+    "last stage stays, push 1e-3, adaptive": (1, pushed(1e-3, mu_strategy="adaptive")),
+}
+
+
+def moved(solution: Any, keep: int | None) -> Any:
+    """A solution moved ahead by one stage, with some last stages in place or the last repeated."""
+    from solvers import Start
+
+    def shift(vector: np.ndarray, blocks: Any) -> np.ndarray:
+        out = vector.copy()
+        for block in blocks:
+            stage = np.arange(block.stages)
+            ahead = np.minimum(stage + 1, block.stages - 1)
+            if keep is not None and block.stages > 1:
+                ahead = np.where(stage < block.stages - keep - 1, ahead, stage)
+            out[block.slice] = block.read(vector)[..., ahead].ravel(order="F")
+        return out
+
+    program = solution.program
+    variables, rows = program.variables.values(), program.rows.values()
+    return Start(
+        shift(solution.x, variables),
+        shift(solution.lam_x, variables),
+        shift(solution.lam_g, rows),
+        shift(solution.z, program.cones.values()),
+        moved=1,
+    )
+
+
+def starts(name: str, quick: bool) -> dict[str, Any]:
+    """Iterations and seconds of the solves after the first, for every way to start them."""
+    import opfmodel as om
+
+    first, count = WINDOWS[name]
+    overrides = {"controller.horizon": 6} if quick else {}
+    scenario = om.load_scenario(SCENARIOS / f"{name}.yaml", overrides=overrides)
+    problem = scenario.problem()
+    instances, cold = _loop(problem, scenario, first, count)
+    rows: dict[str, Any] = {"cold": _figures(cold[1:])}
+    for label, (keep, options) in STARTS.items():
+        other = scenario.problem()
+        other.options = options
+        session = other._compiled[2]
+        rows[label] = _figures(
+            [
+                session.solve(instance, moved(before, keep))
+                for before, instance in zip(cold, instances[1:], strict=False)
+            ]
+        )
+    session = problem._compiled[2]
+    alone: Callable[[Any], Any] = lambda solution: type(solution.start())(moved(solution, 1).x)  # noqa: E731
+    rows["primal values alone"] = _figures(
+        [session.solve(instance, alone(b)) for b, instance in zip(cold, instances[1:], strict=False)]
+    )
+    rows["the same problem again"] = _figures([session.solve(s.instance, s.start()) for s in cold[1:]])
+    return {"rows": rows}
+
+
+def _loop(problem: Any, scenario: Any, first: int, count: int) -> tuple[list[Any], list[Any]]:
+    """Instances and cold solutions of a stretch of a closed loop that begins at the single-stage optimum."""
+    import opfmodel as om
+
+    metered = om.MultiStage(scenario.network, objective=scenario.cost, profiles=scenario.profiles)
+    data = om.single_stage_sequence(metered, 1, first).data
+    state: Any = {name: data[name].values[0] for name in ("pg", "qg")}
+    solutions = []
+    for time in range(first, first + count):
+        plan = problem.solve(time, state)
+        solutions.append(plan.solution)
+        state = plan.next_state()
+    return [solution.instance for solution in solutions], solutions
+
+
+def _figures(solutions: list[Any]) -> dict[str, float]:
+    iterations = [solution.iterations for solution in solutions]
+    return {
+        "iterations": float(np.mean(iterations)),
+        "most": max(iterations),
+        "seconds": float(np.mean([solution.seconds for solution in solutions])),
+        "failed": sum(not solution.status.is_optimal for solution in solutions),
+    }
+
+
+def main() -> None:
+    """Measure and report."""
+    options = arguments(__doc__ or "")
+    names = list(WINDOWS)[:1] if options.quick else list(WINDOWS)
+    rows: dict[str, dict[str, Any]] = {}
+    for name in names:
+        result = measure(starts, name, options.quick)
+        if "error" in result:
+            raise SystemExit(result["error"])
+        for label, figures in result["rows"].items():
+            row = rows.setdefault(label, {"measurement": label})
+            row |= {f"{name}, {key}": value for key, value in figures.items()}
+    report("warm_start", list(rows.values()))
+
+
+if __name__ == "__main__":
+    main()
