@@ -31,27 +31,29 @@ solver.
 SECTIONS: dict[str, tuple[str, str]] = {
     "compile": (
         "Compiling and solving cold",
-        """IEEE 118 with storage at every bus and 48 stages, from the declared network to a solver that
-is ready to start, and its first solve; a single stage of PGLib's 9,241-bus case; the plain recipe, without and with
-opfmodel's weight; and a Pyomo model, written to an NL file that CasADi reads, so that the same build of IPOPT
-solves it. (A solver with AMPL's library would differentiate the file faster than CasADi's reader does.)""",
+        """IEEE 118 with storage at every bus and 48 stages, from the declared network to a solver that is
+ready to start, and its first solve; a single stage of PGLib's 9,241-bus case; the plain recipe,
+without and with opfmodel's weight; and a Pyomo model, written to an NL file that CasADi reads,
+so that the same build of IPOPT solves it. (A solver with AMPL's library would differentiate the
+file faster than CasADi's reader does.)""",
     ),
     "receding": (
         "Receding horizon",
-        """Five steps after the first, each started from the one before; the plain recipe starts from its last
-primal values. Then the closed loops of the paper's systems, 49 steps with a horizon of 48. Overhead is what
-a step takes beside the solver: Python, numbers of the next problem, reading results.""",
+        """Five steps after the first, each started from the one before; the plain recipe starts from its
+last primal values. Then the closed loops of the paper's systems, 49 steps with a horizon of 48.
+Overhead is what a step takes beside the solver: Python, numbers of the next problem, reading
+results.""",
     ),
     "growth": (
         "Growth",
-        """With the horizon (IEEE 118, storage at every bus; a step is the mean of two warm ones) and with the
-size of the network (one stage of PGLib's cases; 1,354 buses over a day with 20 storages).""",
+        """With the horizon (IEEE 118, storage at every bus; a step is the mean of two warm ones) and with
+the size of the network (one stage of PGLib's cases; 1,354 buses over a day with 20 storages).""",
     ),
     "peers": (
         "Single-stage AC-OPF beside pandapower and PYPOWER",
         """The same PGLib data through MATPOWER's arrays; from data in memory to the optimum, imports
-excluded. pandapower limits currents, not apparent power, and so solves a slightly different problem; where a row has no
-figure the tool did not converge.""",
+excluded. pandapower limits currents, not apparent power, and so solves a slightly different
+problem; where a row has no figure the tool did not converge.""",
     ),
     "warm_start": (
         "Warm starts",
@@ -64,8 +66,8 @@ figure the tool did not converge.""",
     "backends": (
         "Back ends",
         """DC with storage at every bus, first problem and the next one; SOC of one stage; PyPSA's linear
-optimal power flow and ours on the same DC data with linear costs. [backends.md](backends.md) says what follows for
-the choice of a back end.""",
+optimal power flow and ours on the same DC data with linear costs. [backends.md](backends.md)
+says what follows for the choice of a back end.""",
     ),
     "study": ("Studies", "24 closed loops of 49 steps of the 5-bus system, on one worker and on two."),
 }
