@@ -351,11 +351,11 @@ class _Checker:
             if self.reactive:
                 bounds = self.bounds(name, "q", generator.q)
                 self.inside("generator q", name, self.value("qg", name), *bounds, self.base)
-            if generator.ramp is not None:
+            ramp = self.declared(name, "ramp", generator.ramp)
+            if np.isfinite(ramp).any():
                 before = math.nan if previous_pg is None else previous_pg[name]
                 change = np.abs(np.diff(pg, prepend=before))
                 change[np.isnan(change)] = 0.0
-                ramp = self.declared(name, "ramp", generator.ramp)
                 self.note("ramp", name, change - ramp * self.step, self.base)
 
     def check_storages(self) -> None:

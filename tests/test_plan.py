@@ -153,6 +153,55 @@ def test_time_series_of_ratings_and_capacity() -> None:
     assert np.hypot(constant.data["pf"], constant.data["qf"]).values[2, 0] > 113.5
 
 
+@pytest.mark.parametrize(("formulation", "rating"), [("ac", 112), ("soc", 112), ("dc", 105)])
+def test_a_series_limits_what_has_no_limit_otherwise(formulation: str, rating: float) -> None:
+    grid = two_bus()
+    grid.update("coal", ramp=None)
+    grid.update("tie", rating=None)
+    series = {**WAVE, "tie.rating": [200, 200, rating, 200, 200, 200], "coal.ramp": [90, 90, 90, 90, 30, 90]}
+    plan = om.MultiStage(grid, 6, profiles=series, formulation=formulation).solve(initial={"pg": [60.0]})
+    assert plan.optimal
+    pg = plan.data["pg"].values[:, 0]
+    assert pg[2] <= rating
+    assert pg[4] - pg[3] >= -30 - 1e-4
+    report = check(grid, plan.data, series, previous_pg={"coal": 60.0})
+    assert report.max_violation < 1e-6
+    assert {"ramp", "branch rating"} <= set(report.violations)
+
+
+def test_the_first_stage_has_the_ramp_of_the_first_step() -> None:
+    grid = two_bus()
+    series = {**WAVE, "coal.ramp": [1, 100, 100, 100, 100, 100]}
+    plan = om.MultiStage(grid, 6, profiles=series).solve(initial={"pg": [58.0]})
+    assert plan.data["pg"].values[0, 0] == pytest.approx(57, abs=1e-4)
+
+
+@pytest.mark.parametrize("formulation", ["ac-rectangular", "soc"])
+def test_series_of_voltage_limits(formulation: str) -> None:
+    grid = two_bus()
+    series = {
+        **WAVE,
+        "north.vm_min": [1.1, 0.95],
+        "north.vm_max": [1.12, 1.05],
+        "south.vm_max": [1.12, 1.05],
+    }
+    plan = om.MultiStage(grid, 2, profiles=series, formulation=formulation).solve()
+    polar = om.MultiStage(grid, 2, profiles=series).solve()
+    assert plan.optimal
+    assert plan.objective == pytest.approx(polar.objective, rel=1e-4)
+    assert check(grid, plan.data, series).max_violation < 1e-5
+
+
+def test_series_of_the_capacity_of_an_inverter() -> None:
+    grid = two_bus()
+    grid.update("cell", charge_efficiency=0.95, power=(-10, 10))
+    series = {**WAVE, "cell.rating": [11, 2], "cell.power_min": [-30, -10]}
+    plan = om.MultiStage(grid, 2, profiles=series, end=om.End(price=-50.0)).solve()
+    apparent = np.hypot(plan.data["ps"], plan.data["qs"]).values[:, 0]
+    assert apparent == pytest.approx([11, 2], abs=1e-3)
+    assert check(grid, plan.data, series).max_violation < 1e-6
+
+
 def test_losses_of_storage_and_the_inverter_circle() -> None:
     grid = everything()
     plan = om.MultiStage(grid, 12, profiles=demand(12)).solve()
@@ -241,6 +290,10 @@ def test_islands_are_solved_together() -> None:
         (lambda: om.MultiStage(two_bus(), profiles={"town": [1]}), ProfileError, r"write 'component\.field'"),
         (lambda: om.MultiStage(two_bus(), profiles={"twn.p": [1]}), ProfileError, "no such component; did you mean 'town'"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.x": [1]}), ProfileError, "a load has no such field"),
+        (lambda: om.MultiStage(two_bus(), profiles={"tie.x": [1]}), ProfileError, "the x of a branch is the same in all"),
+        (lambda: om.MultiStage(two_bus(), profiles={"tie.angle_max": [9]}), ProfileError, "angle_max of a branch is the same"),
+        (lambda: om.MultiStage(two_bus(), profiles={"coal.in_service": [1]}), ProfileError, "cannot have a time series"),
+        (lambda: om.MultiStage(two_bus(), profiles={"town.bus": [1]}), ProfileError, "the bus of a load is the same"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.p": ["a"]}), ProfileError, "the values must be numbers"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.p": [1, np.nan]}), ProfileError, "step 1 is not a number"),
     ],

@@ -66,7 +66,9 @@ class StorageDevice(Device):
             self._split(model, table, split, dynamics, ps)
         circle = np.flatnonzero(np.isfinite(table.rating))
         if qs is not None and circle.size:
-            model.build.cone("storage_rating", table.rating[circle], ps[circle], qs[circle])
+            model.build.cone(
+                "storage_rating", model.field("storage", "rating")[circle], ps[circle], qs[circle]
+            )
 
     @staticmethod
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:

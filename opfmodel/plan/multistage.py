@@ -244,7 +244,7 @@ class MultiStage:
         """What formulation and devices declare, without objective and constraints; not kept."""
         own = {key: values[:, 0] for key, values in self._objective_series.items()}
         model = Model(
-            self.arrays.with_series(own),
+            self.arrays.with_series({**self.profiles.widest(self.arrays), **own}),
             self.horizon,
             self.step,
             reactive=self.formulation.reactive,
