@@ -195,6 +195,7 @@ class MultiStage:
         """
         twin = copy(self)
         vars(twin).pop("_compiled", None)
+        twin._constraints = dict(self._constraints)
         twin.elastic = Elastic() if prices is None else prices
         return twin
 
