@@ -303,6 +303,23 @@ def test_misuse_is_said(make, error: type[Exception], message: str) -> None:
         make()
 
 
+def test_a_store_cannot_lose_more_than_it_has() -> None:
+    grid = two_bus()
+    grid.update("cell", standing_loss=0.6)
+    assert om.MultiStage(grid, 2).solve().optimal
+    with pytest.raises(
+        ModelError, match=r"cell: standing_loss = 0\.6: .* stage of 2 h; it must be at most 0\.5"
+    ):
+        om.MultiStage(grid, 2, step=2.0).solve()
+
+
+def test_a_branch_without_reactance_is_named() -> None:
+    grid = two_bus()
+    grid.update("tie", x=0.0)
+    with pytest.raises(ModelError, match="tie: x = 0: formulation 'dc-matpower' divides by it"):
+        om.MultiStage(grid, formulation="dc-matpower").solve()
+
+
 def test_a_dangling_component_is_found_when_the_problem_is_made() -> None:
     grid = two_bus()
     grid.ghost = om.Load("nowhere", p=1)
