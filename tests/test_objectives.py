@@ -263,6 +263,12 @@ def test_the_single_stage_sequence_follows_an_objective_that_changes_in_time() -
         om.single_stage_sequence(problem, 5, start=1)
 
 
+@pytest.mark.parametrize("weight", ["heavy", -1.0])
+def test_weights_of_the_economic_objective_are_checked(weight: object) -> None:
+    with pytest.raises(ModelError, match=r"economic: energy_weight = .*: must be"):
+        om.Economic(energy_weight=weight)  # type: ignore[arg-type]
+
+
 def test_a_step_without_an_optimum_is_named() -> None:
     series = {"town.p": [80.0, 500, 80], "town.q": [20.0, 30, 20]}
     with pytest.raises(ModelError, match="single-stage optimum of step 1: locally_infeasible"):

@@ -282,6 +282,15 @@ def test_islands_are_solved_together() -> None:
         (lambda: problem(step=0), ModelError, "step = 0: must be a positive number of hours"),
         (lambda: problem(generator_delay=2), ModelError, "must be 0 or 1"),
         (lambda: problem(formulation="acc"), PluginError, r"no formulation 'acc'; did you mean 'ac'"),
+        (lambda: problem(step=True), ModelError, "step = True: must be a positive number of hours"),
+        (lambda: problem(formulation=None), ModelError, "formulation = None: must be a name such as 'ac'"),
+        (lambda: problem(objective=om.Economic), ModelError, r"must be an objective, such as Economic\(\)"),
+        (lambda: problem(regularisation=-1), ModelError, "regularisation = -1: must be at least 0"),
+        (lambda: om.End(minimum="half"), ModelError, "minimum = 'half': must be a share"),
+        (lambda: om.End(price="5"), ModelError, r"price = '5': must be a number in \$/MWh"),
+        (lambda: problem().solve(-1), ModelError, "time = -1: must be a step of the profiles"),
+        (lambda: problem(2).solve(previous=problem(3).solve()), ModelError, "it is a plan of another problem"),
+        (lambda: problem().solve(initial={"e": "full"}), ModelError, "initial e: 'full': must be one number per"),
         (lambda: problem(9).solve(), ProfileError, "has 8 values; steps 0 to 8 need 9"),
         (lambda: problem().solve(5), ProfileError, "has 8 values; steps 5 to 10 need 11"),
         (lambda: problem().solve(initial={"x": [1]}), ModelError, "no state is named 'x'; states: pg, qg, e"),
@@ -301,6 +310,10 @@ def test_islands_are_solved_together() -> None:
 def test_misuse_is_said(make, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         make()
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert problem(np.int64(2), step=np.float32(0.5)).solve().data.sizes["time"] == 2
 
 
 def test_a_store_cannot_lose_more_than_it_has() -> None:
