@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Network
+from opfmodel.components import Network, PiecewiseLinear
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
@@ -48,6 +48,8 @@ class Profiles:
         """
         if isinstance(series, Profiles):
             return series
+        if series is not None and not isinstance(series, Mapping):
+            raise ProfileError(f"profiles = {series!r}: must be a mapping {{'component.field': values}}")
         made: dict[tuple[str, str], Array] = {}
         for key, values in (series or {}).items():
             component, dot, name = str(key).rpartition(".")
@@ -89,6 +91,10 @@ class Profiles:
                 raise ProfileError(
                     f"profile '{name}.{key}': a {kind} has no such field; {nearest(key, numeric)}"
                 )
+            if key in ("c2", "c1", "c0") and isinstance(
+                getattr(network[name], "cost", None), PiecewiseLinear
+            ):
+                raise ProfileError(f"profile '{name}.{key}': the cost of {name!r} is piecewise linear")
             known = arrays.tables[kind].kind.fields()
             item = known.get(key, known.get(key.removesuffix("_min").removesuffix("_max")))
             if item is not None and not item.metadata.get("series", True):
