@@ -140,7 +140,9 @@ def economic_cost(network: Network, data: xr.Dataset, series: Series | None = No
 def losses(network: Network, data: xr.Dataset) -> Array:
     """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
     flows = _ac_flows(_Checker(network, data, {}, 0))
-    total: Array = np.sum([f.real + t.real for f, t in flows.values()], axis=0)
+    total = np.zeros(data.sizes["time"])
+    for at_from, at_to in flows.values():
+        total += at_from.real + at_to.real
     return total * network.base_mva
 
 
@@ -155,8 +157,8 @@ class _Checker:
         self.first = first
         self.times = np.asarray(data["time"].values, dtype=float)
         self.step = float(data.attrs.get("step_hours", 1.0))
-        self.buses = {n: b for n, b in network.of(Bus).items() if n in set(data["bus"].values)}
-        self.reactive = "qg" in data
+        self.buses = self.of(Bus, "bus")
+        self.reactive = not {"qg", "qs", "vm", "w"}.isdisjoint(data)
         self.formulation = str(data.attrs.get("formulation", "ac"))
         self.others = self.other_kinds()
         self.report = Report()
@@ -351,11 +353,11 @@ class _Checker:
             if self.reactive:
                 bounds = self.bounds(name, "q", generator.q)
                 self.inside("generator q", name, self.value("qg", name), *bounds, self.base)
-            if generator.ramp is not None:
+            ramp = self.declared(name, "ramp", generator.ramp)
+            if np.isfinite(ramp).any():
                 before = math.nan if previous_pg is None else previous_pg[name]
                 change = np.abs(np.diff(pg, prepend=before))
                 change[np.isnan(change)] = 0.0
-                ramp = self.declared(name, "ramp", generator.ramp)
                 self.note("ramp", name, change - ramp * self.step, self.base)
 
     def check_storages(self) -> None:

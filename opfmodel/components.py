@@ -62,6 +62,7 @@ def number(
     at_most: float = INF,
     optional: bool = False,
     finite: bool = True,
+    series: bool = True,
 ) -> Any:
     """Declare a field that holds one number.
 
@@ -73,6 +74,8 @@ def number(
         What values are accepted.
     optional
         Whether ``None`` is accepted; it means "no limit" and becomes infinity.
+    series
+        Whether the field may change in time; coefficients of a program's equations do not.
     """
     metadata = {
         "form": "number",
@@ -82,30 +85,40 @@ def number(
         "at_most": at_most,
         "optional": optional,
         "finite": finite,
+        "series": series,
     }
     return field(default=default, metadata=metadata)
 
 
-def span(unit: str, default: Any = MISSING, *, at_least: float = -INF, symmetric: bool = False) -> Any:
+def span(
+    unit: str,
+    default: Any = MISSING,
+    *,
+    at_least: float = -INF,
+    symmetric: bool = False,
+    series: bool = True,
+) -> Any:
     """Declare a field that holds ``(min, max)``; arrays of it are ``<field>_min`` and ``<field>_max``.
 
     Parameters
     ----------
     symmetric
         Whether a single number ``a`` stands for ``(-a, a)``.
+    series
+        As for :func:`number`.
     """
-    metadata = {"form": "span", "unit": unit, "at_least": at_least, "symmetric": symmetric}
+    metadata = {"form": "span", "unit": unit, "at_least": at_least, "symmetric": symmetric, "series": series}
     return field(default=default, metadata=metadata)
 
 
 def at_bus() -> Any:
     """Declare a field that names a bus; the array of it holds bus positions."""
-    return field(metadata={"form": "bus", "unit": ""})
+    return field(metadata={"form": "bus", "unit": "", "series": False})
 
 
 def flag(default: bool) -> Any:
     """Declare a field that is true or false."""
-    return field(default=default, metadata={"form": "flag", "unit": ""})
+    return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
 
 
 def _is_number(value: object) -> bool:
@@ -356,7 +369,7 @@ class Bus(Component):
     plural: ClassVar[str] = "buses"
 
     vm: tuple[float, float] = span("p.u.", (0.9, 1.1), at_least=0.0)
-    base_kv: float | None = number("kV", None, above=0.0, optional=True)
+    base_kv: float | None = number("kV", None, above=0.0, optional=True, series=False)
     reference: bool = flag(False)
     in_service: bool = flag(True)
 
@@ -388,18 +401,18 @@ class Branch(Component):
 
     from_bus: str = at_bus()
     to_bus: str = at_bus()
-    r: float = number("p.u.")
-    x: float = number("p.u.")
-    b: float = number("p.u.", 0.0)
-    g: float = number("p.u.", 0.0)
+    r: float = number("p.u.", series=False)
+    x: float = number("p.u.", series=False)
+    b: float = number("p.u.", 0.0, series=False)
+    g: float = number("p.u.", 0.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
-    tap: float = number("", 1.0, above=0.0)
-    shift: float = number("deg", 0.0)
-    angle: tuple[float, float] = span("deg", (-360.0, 360.0))
-    g_from: float = number("p.u.", 0.0)
-    b_from: float = number("p.u.", 0.0)
-    g_to: float = number("p.u.", 0.0)
-    b_to: float = number("p.u.", 0.0)
+    tap: float = number("", 1.0, above=0.0, series=False)
+    shift: float = number("deg", 0.0, series=False)
+    angle: tuple[float, float] = span("deg", (-360.0, 360.0), series=False)
+    g_from: float = number("p.u.", 0.0, series=False)
+    b_from: float = number("p.u.", 0.0, series=False)
+    g_to: float = number("p.u.", 0.0, series=False)
+    b_to: float = number("p.u.", 0.0, series=False)
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
@@ -476,11 +489,11 @@ class Storage(Component):
     energy: float = number("MWh", at_least=0.0)
     power: float | tuple[float, float] = span("MW", symmetric=True)
     q: float | tuple[float, float] = span("MVAr", (0.0, 0.0), symmetric=True)
-    initial: float | None = number("MWh", None, at_least=0.0, optional=True)
+    initial: float | None = number("MWh", None, at_least=0.0, optional=True, series=False)
     energy_min: float = number("MWh", 0.0, at_least=0.0)
-    charge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0)
-    discharge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0)
-    standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0)
+    charge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0, series=False)
+    discharge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0, series=False)
+    standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
     exclusive: bool = flag(False)
     in_service: bool = flag(True)
@@ -544,8 +557,8 @@ class Shunt(Component):
     plural: ClassVar[str] = "shunts"
 
     bus: str = at_bus()
-    g: float = number("MW", 0.0)
-    b: float = number("MVAr", 0.0)
+    g: float = number("MW", 0.0, series=False)
+    b: float = number("MVAr", 0.0, series=False)
     in_service: bool = flag(True)
 
 

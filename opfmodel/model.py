@@ -384,7 +384,10 @@ class Model:
                 )  # fmt: skip
             if ramped.size:  # bounds decide in every solve whether it counts
                 before = self.build.parameter(f"{name}_previous", ramped.size)
-                self.rows(kind, f"{name}_ramp_first", moving[:, :1] - before, floor, limit, soft)
+                self.rows(
+                    kind, f"{name}_ramp_first", moving[:, :1] - before,
+                    lambda t: _first(floor(t)), lambda t: _first(limit(t)), soft,
+                )  # fmt: skip
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
 
@@ -707,6 +710,11 @@ def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
     if isinstance(bound, str):
         return np.asarray(table.arrays[bound])
     return np.asarray(bound(table) if callable(bound) else bound)
+
+
+def _first(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Of the first stage, where values differ between stages."""
+    return values[:, :1] if values.ndim == 2 else values
 
 
 def _roots(bound: Bound) -> Callable[[Table], Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,6 +12,8 @@ import numpy.typing as npt
 
 from opfmodel.components import Generator, Network, Storage
 from opfmodel.errors import ModelError
+from opfmodel.network import per_unit
+from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.profiles.series import Profiles
@@ -113,17 +116,19 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             f"{steps} single stages from step {start} need time series of {start + steps} values; "
             f"the shortest has {kept.length}"
         )
-    first, stage = _distinct(window, steps)
-    series = {key: values[first] for key, values in window.series.items()}
+    own = _of_objective(problem.objective, network, start, steps)
+    rows = [*window.series.values(), *(row for values in own.values() for row in values)]
+    first, stage = _distinct(rows, steps)
 
-    def solve(profiles: Profiles, stages: int) -> Plan:
+    def solve(chosen: Index) -> Plan:
+        stages = chosen.size
         alone = MultiStage(
             network,
             stages,
             problem.step,
             formulation=problem.formulation,
             objective=problem.objective,
-            profiles=profiles,
+            profiles=Profiles({key: values[chosen] for key, values in window.series.items()}),
             devices=problem.devices,
             solver=problem.solver,
             options=problem.options,
@@ -134,12 +139,12 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
                 f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "
                 "they are for grids whose only stores are storages"
             )
-        return alone.solve()
+        return alone.solve(expected={key: values[:, chosen] for key, values in own.items()})
 
-    plan = solve(Profiles(series), first.size)
+    plan = solve(first)
     if not plan.optimal:
-        for position, step in enumerate(first):  # find out which
-            alone = solve(Profiles({key: values[[position]] for key, values in series.items()}), 1)
+        for step in first:  # find out which
+            alone = solve(np.array([step]))
             if not alone.optimal:
                 raise ModelError(
                     f"single-stage optimum of step {start + step}: {alone.status} ({alone.termination})"
@@ -159,10 +164,27 @@ def _alone(network: Network) -> Network:
     return alone
 
 
-def _distinct(profiles: Profiles, steps: int) -> tuple[Index, Index]:
+def _of_objective(
+    objective: Objective, network: Network, start: int, steps: int
+) -> dict[tuple[str, str], Array]:
+    """The objective's own numbers that change in time, in per unit, from a step on."""
+    own = {}
+    for key, values in objective.series(per_unit(network)).items():
+        if values.shape[1] == 1:
+            continue
+        if values.shape[1] < start + steps:
+            raise ModelError(
+                f"{type(objective).__name__}: {key[1]} has {values.shape[1]} values; "
+                f"{steps} single stages from step {start} need {start + steps}"
+            )
+        own[key] = values[:, start : start + steps]
+    return own
+
+
+def _distinct(rows: Sequence[Array], steps: int) -> tuple[Index, Index]:
     """First step of each distinct set of numbers, and the position of each step among these."""
-    if not profiles.series:
+    if not rows:
         return np.zeros(1, dtype=np.intp), np.zeros(steps, dtype=np.intp)
-    columns = np.vstack(list(profiles.series.values()))
+    columns = np.vstack(rows)
     _, first, position = np.unique(columns, axis=1, return_index=True, return_inverse=True)
     return first, position.ravel()

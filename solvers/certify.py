@@ -50,7 +50,7 @@ def _relative_error(solution: Solution) -> float:
         solution.dual_residual / _size(slope, solution.lam_x, solution.lam_g, solution.z),
         solution.gap / (1.0 + abs(solution.objective)),
     )
-    return float(np.nan_to_num(max(errors), nan=np.inf))
+    return float(np.nan_to_num(np.max(errors), nan=np.inf))
 
 
 def _size(*vectors: np.ndarray) -> float:

@@ -170,6 +170,9 @@ class Expression:
     def __neg__(self) -> Any:
         return self._combine(_UFUNCS[np.negative], self)
 
+    def __abs__(self) -> Any:
+        raise ProgramError("an absolute value is not smooth; write largest(x, -x)")
+
     def __pos__(self) -> Any:
         return self
 
@@ -181,6 +184,11 @@ class Expression:
 
     def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
         return Constraint(self - other, 0.0, 0.0)
+
+    def __lt__(self, other: Any) -> Constraint:
+        raise ProgramError("a constraint cannot be strict; write <= or >=")
+
+    __gt__ = __lt__
 
 
 class Sum:
@@ -258,6 +266,8 @@ class Sum:
         return self.__mul__(other)
 
     def __truediv__(self, other: Any) -> Sum:
+        if isinstance(other, Sum | Expression):
+            raise ProgramError("a sum can be divided by numbers only; multiply the comparison out")
         return self.__mul__(1.0 / np.asarray(other, dtype=float))
 
     def __pow__(self, other: Any) -> Sum:
@@ -273,6 +283,11 @@ class Sum:
 
     def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
         return Constraint(self - other, 0.0, 0.0)
+
+    def __lt__(self, other: Any) -> Constraint:
+        raise ProgramError("a constraint cannot be strict; write <= or >=")
+
+    __gt__ = __lt__
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,8 +372,11 @@ def constant(builder: ProgramBuilder, values: Any) -> Expression:
     array = np.asarray(values, dtype=float)
     if array.ndim == 1:
         array = array[:, None]
-    if array.ndim > 2 or np.isnan(array).any():
-        raise ProgramError(f"an array of shape {array.shape} or with NaN cannot enter an expression")
+    if array.ndim > 2 or not np.isfinite(array).all():
+        raise ProgramError(
+            f"an array of shape {array.shape} cannot enter an expression: at most two dimensions and "
+            "finite numbers can; what has no limit is left out"
+        )
     shape = (1, 1) if array.ndim == 0 else (array.shape[0], array.shape[1])
     if array.size and (array == array.flat[0]).all():
         return Expression(builder, ca.SX(float(array.flat[0])), {}, shape)

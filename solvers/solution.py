@@ -201,4 +201,5 @@ class Solution:
 
 
 def _largest(violations: list[Array]) -> float:
-    return max([0.0, *(float(v.max()) for v in violations if v.size)])
+    """The largest of all, at least 0; not a number if one of them is none."""
+    return float(np.max([0.0, *(v.max() for v in violations if v.size)]))

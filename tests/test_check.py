@@ -99,6 +99,18 @@ def test_losses_are_generation_minus_demand_minus_charging_minus_shunts(solved) 
     assert losses(grid, data).min() > 0
 
 
+def test_reactive_power_counts_where_there_is_no_generator() -> None:
+    grid = om.Network("off grid")
+    grid.bus = om.Bus()
+    grid.cell = om.Storage("bus", energy=100, power=20, q=50)
+    grid.town = om.Load("bus", p=10, q=5)
+    data = om.MultiStage(grid, 2, objective=om.StateOfChargeTracking()).solve().data
+    assert check(grid, data).max_violation < 1e-6
+    data["qs"][1] += 3.0
+    assert check(grid, data).violations["reactive balance"].value == pytest.approx(0.03, abs=1e-6)
+    assert losses(grid, data).tolist() == [0.0, 0.0]
+
+
 def test_costs_of_all_kinds(solved: tuple[om.Network, xr.Dataset]) -> None:
     grid, data = solved
     cheap, dear = (data["pg"].sel(generator=g).values for g in ("cheap", "dear"))

@@ -137,6 +137,13 @@ def test_constraints_of_ones_own() -> None:
     assert sentences(problem) == ["constraint reserve is missed by 20.0 at hour 0"]
 
 
+def test_a_twin_has_constraints_of_its_own() -> None:
+    made = om.MultiStage(two_bus(), formulation="dc")
+    assert made.solve().optimal
+    made.elastic_twin().constrain("little", lambda s: s.generator.pg, at_most=10)
+    assert made.solve().optimal
+
+
 def test_constraints_with_limits_of_each_step_and_of_some_stages() -> None:
     problem = om.MultiStage(one_bus(60), 2)
     problem.constrain("floor", lambda s: s.generator.pg, at_least=[50, 58])

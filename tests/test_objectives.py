@@ -250,6 +250,25 @@ def test_the_single_stage_sequence_solves_equal_demands_once() -> None:
     assert (setpoints["cell.e"], setpoints["cell.ps"]) == (100, 0)
 
 
+def test_the_single_stage_sequence_follows_an_objective_that_changes_in_time() -> None:
+    grid = two_bus()
+    grid.gas = om.Generator("south", p=(0, 100))
+    tracking = om.SetpointTracking({"coal.pg": [10, 20, 30, 20, 50]})
+    problem = om.MultiStage(grid, formulation="dc", objective=tracking)
+    sequence = om.single_stage_sequence(problem, 4, start=1)
+    assert sequence.plan.problem.horizon == 3
+    assert_allclose(sequence.data["pg"].sel(generator="coal"), [20, 30, 20, 50], atol=1e-4)
+    assert sequence.cost == pytest.approx(0, abs=1e-6)
+    with pytest.raises(ModelError, match="pg_setpoint has 5 values; 5 single stages from step 1 need 6"):
+        om.single_stage_sequence(problem, 5, start=1)
+
+
+@pytest.mark.parametrize("weight", ["heavy", -1.0])
+def test_weights_of_the_economic_objective_are_checked(weight: object) -> None:
+    with pytest.raises(ModelError, match=r"economic: energy_weight = .*: must be"):
+        om.Economic(energy_weight=weight)  # type: ignore[arg-type]
+
+
 def test_a_step_without_an_optimum_is_named() -> None:
     series = {"town.p": [80.0, 500, 80], "town.q": [20.0, 30, 20]}
     with pytest.raises(ModelError, match="single-stage optimum of step 1: locally_infeasible"):

@@ -153,6 +153,55 @@ def test_time_series_of_ratings_and_capacity() -> None:
     assert np.hypot(constant.data["pf"], constant.data["qf"]).values[2, 0] > 113.5
 
 
+@pytest.mark.parametrize(("formulation", "rating"), [("ac", 112), ("soc", 112), ("dc", 105)])
+def test_a_series_limits_what_has_no_limit_otherwise(formulation: str, rating: float) -> None:
+    grid = two_bus()
+    grid.update("coal", ramp=None)
+    grid.update("tie", rating=None)
+    series = {**WAVE, "tie.rating": [200, 200, rating, 200, 200, 200], "coal.ramp": [90, 90, 90, 90, 30, 90]}
+    plan = om.MultiStage(grid, 6, profiles=series, formulation=formulation).solve(initial={"pg": [60.0]})
+    assert plan.optimal
+    pg = plan.data["pg"].values[:, 0]
+    assert pg[2] <= rating
+    assert pg[4] - pg[3] >= -30 - 1e-4
+    report = check(grid, plan.data, series, previous_pg={"coal": 60.0})
+    assert report.max_violation < 1e-6
+    assert {"ramp", "branch rating"} <= set(report.violations)
+
+
+def test_the_first_stage_has_the_ramp_of_the_first_step() -> None:
+    grid = two_bus()
+    series = {**WAVE, "coal.ramp": [1, 100, 100, 100, 100, 100]}
+    plan = om.MultiStage(grid, 6, profiles=series).solve(initial={"pg": [58.0]})
+    assert plan.data["pg"].values[0, 0] == pytest.approx(57, abs=1e-4)
+
+
+@pytest.mark.parametrize("formulation", ["ac-rectangular", "soc"])
+def test_series_of_voltage_limits(formulation: str) -> None:
+    grid = two_bus()
+    series = {
+        **WAVE,
+        "north.vm_min": [1.1, 0.95],
+        "north.vm_max": [1.12, 1.05],
+        "south.vm_max": [1.12, 1.05],
+    }
+    plan = om.MultiStage(grid, 2, profiles=series, formulation=formulation).solve()
+    polar = om.MultiStage(grid, 2, profiles=series).solve()
+    assert plan.optimal
+    assert plan.objective == pytest.approx(polar.objective, rel=1e-4)
+    assert check(grid, plan.data, series).max_violation < 1e-5
+
+
+def test_series_of_the_capacity_of_an_inverter() -> None:
+    grid = two_bus()
+    grid.update("cell", charge_efficiency=0.95, power=(-10, 10))
+    series = {**WAVE, "cell.rating": [11, 2], "cell.power_min": [-30, -10]}
+    plan = om.MultiStage(grid, 2, profiles=series, end=om.End(price=-50.0)).solve()
+    apparent = np.hypot(plan.data["ps"], plan.data["qs"]).values[:, 0]
+    assert apparent == pytest.approx([11, 2], abs=1e-3)
+    assert check(grid, plan.data, series).max_violation < 1e-6
+
+
 def test_losses_of_storage_and_the_inverter_circle() -> None:
     grid = everything()
     plan = om.MultiStage(grid, 12, profiles=demand(12)).solve()
@@ -233,6 +282,15 @@ def test_islands_are_solved_together() -> None:
         (lambda: problem(step=0), ModelError, "step = 0: must be a positive number of hours"),
         (lambda: problem(generator_delay=2), ModelError, "must be 0 or 1"),
         (lambda: problem(formulation="acc"), PluginError, r"no formulation 'acc'; did you mean 'ac'"),
+        (lambda: problem(step=True), ModelError, "step = True: must be a positive number of hours"),
+        (lambda: problem(formulation=None), ModelError, "formulation = None: must be a name such as 'ac'"),
+        (lambda: problem(objective=om.Economic), ModelError, r"must be an objective, such as Economic\(\)"),
+        (lambda: problem(regularisation=-1), ModelError, "regularisation = -1: must be at least 0"),
+        (lambda: om.End(minimum="half"), ModelError, "minimum = 'half': must be a share"),
+        (lambda: om.End(price="5"), ModelError, r"price = '5': must be a number in \$/MWh"),
+        (lambda: problem().solve(-1), ModelError, "time = -1: must be a step of the profiles"),
+        (lambda: problem(2).solve(previous=problem(3).solve()), ModelError, "it is a plan of another problem"),
+        (lambda: problem().solve(initial={"e": "full"}), ModelError, "initial e: 'full': must be one number per"),
         (lambda: problem(9).solve(), ProfileError, "has 8 values; steps 0 to 8 need 9"),
         (lambda: problem().solve(5), ProfileError, "has 8 values; steps 5 to 10 need 11"),
         (lambda: problem().solve(initial={"x": [1]}), ModelError, "no state is named 'x'; states: pg, qg, e"),
@@ -241,6 +299,13 @@ def test_islands_are_solved_together() -> None:
         (lambda: om.MultiStage(two_bus(), profiles={"town": [1]}), ProfileError, r"write 'component\.field'"),
         (lambda: om.MultiStage(two_bus(), profiles={"twn.p": [1]}), ProfileError, "no such component; did you mean 'town'"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.x": [1]}), ProfileError, "a load has no such field"),
+        (lambda: om.MultiStage(two_bus(), profiles={"tie.x": [1]}), ProfileError, "the x of a branch is the same in all"),
+        (lambda: om.MultiStage(two_bus(), profiles={"tie.angle_max": [9]}), ProfileError, "angle_max of a branch is the same"),
+        (lambda: om.MultiStage(two_bus(), profiles={"coal.in_service": [1]}), ProfileError, "cannot have a time series"),
+        (lambda: om.MultiStage(two_bus(), profiles={"town.bus": [1]}), ProfileError, "the bus of a load is the same"),
+        (lambda: om.MultiStage(two_bus(), profiles=[1, 2]), ProfileError, r"profiles = \[1, 2\]: must be a mapping"),
+        (lambda: om.MultiStage(everything(), profiles={"dear.c1": [1]}), ProfileError, "the cost of 'dear' is piecewise linear"),
+        (lambda: problem(objective=om.SetpointTracking(5)).solve(), ModelError, "set-points 5: must be a mapping"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.p": ["a"]}), ProfileError, "the values must be numbers"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.p": [1, np.nan]}), ProfileError, "step 1 is not a number"),
     ],
@@ -248,6 +313,27 @@ def test_islands_are_solved_together() -> None:
 def test_misuse_is_said(make, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         make()
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert problem(np.int64(2), step=np.float32(0.5)).solve().data.sizes["time"] == 2
+
+
+def test_a_store_cannot_lose_more_than_it_has() -> None:
+    grid = two_bus()
+    grid.update("cell", standing_loss=0.6)
+    assert om.MultiStage(grid, 2).solve().optimal
+    with pytest.raises(
+        ModelError, match=r"cell: standing_loss = 0\.6: .* stage of 2 h; it must be at most 0\.5"
+    ):
+        om.MultiStage(grid, 2, step=2.0).solve()
+
+
+def test_a_branch_without_reactance_is_named() -> None:
+    grid = two_bus()
+    grid.update("tie", x=0.0)
+    with pytest.raises(ModelError, match="tie: x = 0: formulation 'dc-matpower' divides by it"):
+        om.MultiStage(grid, formulation="dc-matpower").solve()
 
 
 def test_a_dangling_component_is_found_when_the_problem_is_made() -> None:

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import solvers
 from solvers import ProgramBuilder, SolutionStatus, TerminationCondition, total
 from solvers.backends.qp import QPSession
+from solvers.certify import certified
 
 
 def rosenbrock(**bounds) -> solvers.Program:
@@ -33,6 +34,19 @@ def test_a_solution_certifies_itself() -> None:
     assert wrong.termination is TerminationCondition.ITERATION_LIMIT
     assert wrong.status is SolutionStatus.NONE
     assert wrong.dual_residual > 1e-2
+
+
+@pytest.mark.parametrize("name", ["x", "lam_x", "lam_g"])
+def test_what_is_not_a_number_is_no_optimum(name: str) -> None:
+    build = ProgramBuilder("two numbers")
+    x = build.variable("x", 2, lower=0.0)
+    build.minimize(total(x))
+    build.constrain("enough", total(x) >= 1.0)
+    solution = solvers.solve(build.build(), "qp")
+    assert certified(solution).status is SolutionStatus.GLOBALLY_OPTIMAL
+    broken = replace(solution, **{name: np.full_like(getattr(solution, name), np.nan)})
+    assert certified(broken).status is SolutionStatus.NONE
+    assert np.isnan(max(broken.primal_residual, broken.dual_residual, key=np.isnan))
 
 
 def test_multipliers_have_the_documented_signs() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.components import Storage
+from opfmodel.errors import ModelError
 from opfmodel.model import Device, Model
 from opfmodel.network import Array, Index, Table
 from solvers import Expression, Rows
@@ -54,6 +55,13 @@ class StorageDevice(Device):
             "value of one more MWh stored at the end of the stage",
         )
         kept = 1.0 - step * table.standing_loss
+        gone = np.flatnonzero(kept < 0.0)
+        if gone.size:
+            first = gone[0]
+            raise ModelError(
+                f"{table.names[first]}: standing_loss = {table.standing_loss[first]:g}: loses more than "
+                f"there is within a stage of {step:g} h; it must be at most {1.0 / step:g} per hour"
+            )
         change = e[:, 1:] - kept * e[:, :-1]
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
         dynamics = model.build.rows("e_dynamics", n, model.stages)
@@ -66,7 +74,9 @@ class StorageDevice(Device):
             self._split(model, table, split, dynamics, ps)
         circle = np.flatnonzero(np.isfinite(table.rating))
         if qs is not None and circle.size:
-            model.build.cone("storage_rating", table.rating[circle], ps[circle], qs[circle])
+            model.build.cone(
+                "storage_rating", model.field("storage", "rating")[circle], ps[circle], qs[circle]
+            )
 
     @staticmethod
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from opfmodel.errors import ModelError
 from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
 from opfmodel.model import Model
 from opfmodel.network import Array, PerUnitNetwork
@@ -59,6 +62,12 @@ class DCMatpower(DC):
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
+        without = np.flatnonzero(branch.x == 0.0)
+        if without.size:
+            raise ModelError(
+                f"{branch.names[without[0]]}: x = 0: formulation {self.name!r} divides by it; "
+                "formulation 'dc' does not"
+            )
         susceptance: Array = 1.0 / (branch.x * branch.tap)
         shifted: Expression = angle - branch.shift
         return shifted * susceptance

@@ -47,6 +47,10 @@ class Setpoints:
         """The values by ``"component.quantity"``."""
         if callable(self._values):
             self._values = self._values()
+        if not isinstance(self._values, Mapping):
+            raise ModelError(
+                f"set-points {self._values!r}: must be a mapping {{'component.quantity': value or values}}"
+            )
         return self._values
 
     def arrays(self, network: PerUnitNetwork) -> dict[str, Array]:

@@ -30,7 +30,7 @@ class End:
     price: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.minimum <= 1.0:
+        if not isinstance(self.minimum, int | float) or not 0.0 <= self.minimum <= 1.0:
             raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
-        if not np.isfinite(self.price):
+        if not isinstance(self.price, int | float) or not np.isfinite(self.price):
             raise ModelError(f"end of horizon: price = {self.price!r}: must be a number in $/MWh")

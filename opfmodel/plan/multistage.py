@@ -19,6 +19,7 @@ from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
+from opfmodel.objectives.checks import not_negative
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.constraints import OwnConstraint, PhysicalStage, limit_of, rows_of
 from opfmodel.plan.end import End
@@ -99,23 +100,29 @@ class MultiStage:
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
     ) -> None:
-        if isinstance(horizon, bool) or not isinstance(horizon, int) or horizon < 1:
+        if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 1:
             raise ModelError(f"horizon = {horizon!r}: must be a whole number of stages, at least 1")
-        if not isinstance(step, int | float) or not 0 < step < np.inf:
+        if isinstance(step, bool) or not isinstance(step, int | float | np.number) or not 0 < step < np.inf:
             raise ModelError(f"step = {step!r}: must be a positive number of hours")
         if generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
         self.network = network
-        self.horizon = horizon
+        self.horizon = int(horizon)
         self.step = float(step)
         self.arrays = per_unit(network)
         self.formulation = make_formulation(formulation)
         self.objective = Economic() if objective is None else objective
+        if not isinstance(self.objective, Objective):
+            raise ModelError(f"objective = {objective!r}: must be an objective, such as Economic()")
         self.profiles = Profiles.of(profiles)
         self.profiles.check(network, self.arrays)
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
-        self.regularisation = self.objective.regularisation if regularisation is None else regularisation
+        self.regularisation = (
+            self.objective.regularisation
+            if regularisation is None
+            else not_negative("plan", "regularisation", regularisation)
+        )
         self.elastic = elastic
         self.devices = make_devices(self.arrays, devices)
         self.solver = solver
@@ -195,6 +202,7 @@ class MultiStage:
         """
         twin = copy(self)
         vars(twin).pop("_compiled", None)
+        twin._constraints = dict(self._constraints)
         twin.elastic = Elastic() if prices is None else prices
         return twin
 
@@ -244,7 +252,7 @@ class MultiStage:
         """What formulation and devices declare, without objective and constraints; not kept."""
         own = {key: values[:, 0] for key, values in self._objective_series.items()}
         model = Model(
-            self.arrays.with_series(own),
+            self.arrays.with_series({**self.profiles.widest(self.arrays), **own}),
             self.horizon,
             self.step,
             reactive=self.formulation.reactive,
@@ -387,7 +395,11 @@ class MultiStage:
         Plan
             Also when the solver failed; see :attr:`Plan.status`.
         """
+        if isinstance(time, bool) or not isinstance(time, int | np.integer) or time < 0:
+            raise ModelError(f"time = {time!r}: must be a step of the profiles, a whole number from 0 on")
         model, program, session = self._compiled
+        if previous is not None and previous.solution.x.size != program.n_variables:
+            raise ModelError("previous: it is a plan of another problem, with other variables")
         end = self.end if end is None else end
         network = self.window(time, self.horizon).with_series(expected or {})
         numbers = Numbers(model, program, network)
@@ -400,11 +412,9 @@ class MultiStage:
             table = network.tables[state.kind]
             if initial is not None and state.name in initial:
                 given = initial[state.name]
-                values = (
-                    None
-                    if given is None
-                    else np.asarray(given, dtype=float) / scale(state.unit, table.base_mva)
-                )
+                values = None if given is None else _numbers(state.name, given)
+                if values is not None:
+                    values = values / scale(state.unit, table.base_mva)
             else:
                 values = table.arrays[state.initial] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
@@ -425,10 +435,19 @@ def _start(previous: Plan | None, time: int, multipliers: bool) -> Start | None:
     return moved if multipliers else Start(moved.x)
 
 
+def _numbers(state: str, given: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"initial {state}: {given!r}: must be one number per component") from None
+
+
 def make_formulation(formulation: str | Formulation) -> Formulation:
     """A formulation by name, or as given."""
     if isinstance(formulation, Formulation):
         return formulation
+    if not isinstance(formulation, str):
+        raise ModelError(f"formulation = {formulation!r}: must be a name such as 'ac', or a formulation")
     made = plugins.load("formulation", formulation)()
     assert isinstance(made, Formulation)
     return made

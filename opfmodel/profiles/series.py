@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Network
+from opfmodel.components import Network, PiecewiseLinear
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
@@ -48,6 +48,8 @@ class Profiles:
         """
         if isinstance(series, Profiles):
             return series
+        if series is not None and not isinstance(series, Mapping):
+            raise ProfileError(f"profiles = {series!r}: must be a mapping {{'component.field': values}}")
         made: dict[tuple[str, str], Array] = {}
         for key, values in (series or {}).items():
             component, dot, name = str(key).rpartition(".")
@@ -79,7 +81,7 @@ class Profiles:
         }
 
     def check(self, network: Network, arrays: PerUnitNetwork) -> None:
-        """Raise :class:`ProfileError` if a series names no component, or no field of it."""
+        """Raise :class:`ProfileError` if a series names no component, or no field that may change."""
         for name, key in self.series:
             if name not in network:
                 raise ProfileError(f"profile '{name}.{key}': no such component; {nearest(name, network)}")
@@ -89,6 +91,40 @@ class Profiles:
                 raise ProfileError(
                     f"profile '{name}.{key}': a {kind} has no such field; {nearest(key, numeric)}"
                 )
+            if key in ("c2", "c1", "c0") and isinstance(
+                getattr(network[name], "cost", None), PiecewiseLinear
+            ):
+                raise ProfileError(f"profile '{name}.{key}': the cost of {name!r} is piecewise linear")
+            known = arrays.tables[kind].kind.fields()
+            item = known.get(key, known.get(key.removesuffix("_min").removesuffix("_max")))
+            if item is not None and not item.metadata.get("series", True):
+                raise ProfileError(
+                    f"profile '{name}.{key}': the {key} of a {kind} is the same in all steps; "
+                    "it cannot have a time series"
+                )
+
+    def widest(self, network: PerUnitNetwork) -> dict[tuple[str, str], Array]:
+        """Limits that contain those of every step, per unit ``(items,)`` by ``(kind, field)``.
+
+        A program is stated with them, so that it has a row for whatever is limited at some step
+        and no bound that cuts off another. A limit that is absent from some steps only counts by
+        those that have it.
+        """
+        out: dict[tuple[str, str], Array] = {}
+        for (name, key), values in self.series.items():
+            if not self._in_service(network, name):
+                continue
+            kind, position = self._find(network, name)
+            table = network.tables[kind]
+            item = table.kind.fields().get(key)
+            if not key.endswith(("_min", "_max")) and not (item and item.metadata.get("optional")):
+                continue
+            constant = out.setdefault((kind, key), np.array(table.arrays[key], dtype=float))
+            own = np.append(values / scale(table.units[key], network.base_mva), constant[position])
+            own = own[np.isfinite(own)]
+            if own.size:
+                constant[position] = own.min() if key.endswith("_min") else own.max()
+        return out
 
     def window(self, network: PerUnitNetwork, start: int, stages: int) -> dict[tuple[str, str], Array]:
         """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the steps from ``start``.
