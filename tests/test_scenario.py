@@ -76,6 +76,12 @@ def test_the_same_grid_by_dsl_by_yaml_and_by_file_has_the_same_optimum(tmp_path:
     assert optima[2] == pytest.approx(optima[0], rel=1e-8)
 
 
+def test_a_limit_that_a_component_lacks_can_have_a_series(tmp_path: Path) -> None:
+    (tmp_path / "limits.csv").write_text("g.ramp\n5\n3\n")
+    text = MINIMAL + "time: {steps: 2}\nprofiles: [{table: {file: limits.csv}}]\n"
+    assert om.load_scenario(write(tmp_path, text)).profiles.series["g", "ramp"].tolist() == [5, 3]
+
+
 def test_a_minimal_scenario(tmp_path: Path) -> None:
     scenario = om.load_scenario(write(tmp_path, MINIMAL))
     assert (scenario.name, scenario.steps) == ("scenario", 1)
@@ -122,7 +128,6 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,l.p\n0,1\n0,one\n0,1\n", "line 3, column 'l.p': 'one' is not a number"),
         ("hour,l.p\n0,1\n0,nan\n0,1\n", "line 3, column 'l.p': 'nan' is not a number"),
         ("hour,g.p\n0,1\n0,1\n0,1\n", "a generator has no number 'p'; it has p_min and p_max"),
-        ("hour,g.ramp\n0,1\n0,1\n0,1\n", "profile 'g.ramp': g is declared without a limit; give it a ramp"),
         ("hour,g.cost\n0,1\n0,1\n0,1\n", "a generator has no number 'cost'"),
         ("hour,g.bus\n0,1\n0,1\n0,1\n", "a generator has no number 'bus'"),
         ("", "the file is empty"),
