@@ -349,6 +349,7 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
     rows = []
     for name, declared in network.of(Storage).items():
         storage = declared.resolved()
+        assert storage.initial is not None
         if storage.standing_loss or storage.energy_min:
             _warn(f"{path}: {name}: standing_loss and energy_min are left out")
         ends = [v if isinstance(v, tuple) else (-v, v) for v in (storage.power, storage.q)]
@@ -361,10 +362,15 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
             storage.charge_efficiency, storage.discharge_efficiency, rating, q_min, q_max,
             0, 0, 0, 0, int(storage.in_service),
         ]  # fmt: skip
-        rows.append("\t" + "\t".join(repr(v) for v in values) + ";")
+        rows.append("\t" + "\t".join(_plain(v) for v in values) + ";")
     if not rows:
         return ""
     return "\n".join(["", f"%column_names% {columns}", "mpc.storage = [", *rows, "];", ""])
+
+
+def _plain(number: float) -> str:
+    """A number as a file has it; NumPy's would be written with their type."""
+    return repr(number if isinstance(number, int) else float(number))
 
 
 def _identifier(name: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -158,7 +157,7 @@ def solve(
         "diagnosis": diagnosis,
     }
     if json_:
-        print(json.dumps(result))
+        _print_json(result)
     else:
         _print_notes(problem.notes)
         worst = report.worst
@@ -215,7 +214,7 @@ def run(
         if figures:
             plot.save_figures(data, folder, figures=["system"])
     if json_:
-        print(json.dumps(summary))
+        _print_json(summary)
     else:
         _print_notes(done.problem.notes)
         _print_run(summary, folder)
@@ -239,7 +238,7 @@ def table(
         _scenario(path, None, None)  # so that a mistake in any file is said before hours of work
     rows = [comparison.compare(path, say) for path in scenarios]
     if json_:
-        print(json.dumps({"rows": [row.as_dict() for row in rows]}))
+        _print_json({"rows": [row.as_dict() for row in rows]})
     elif markdown:
         print(comparison.markdown(rows))
     else:
@@ -267,7 +266,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
     arrays = per_unit(network)
     counts = {kind.plural: len(network.of(kind)) for kind in network.kinds()}
     if json_:
-        print(json.dumps({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)}))
+        _print_json({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)})
     else:
         _print_notes(arrays.notes)
         print(f"{file}: valid; {network!r}")
@@ -286,7 +285,7 @@ def plot_(
 
     written = plot.save_figures(results.load(folder), folder if out is None else out, bus)
     if json_:
-        print(json.dumps({"figures": [str(path) for path in written]}))
+        _print_json({"figures": [str(path) for path in written]})
     else:
         print("\n".join(str(path) for path in written))
     return 0
@@ -299,7 +298,7 @@ def list_(json_: JSON = False) -> int:
 
     entries = catalogue()
     if json_:
-        print(json.dumps({"plugins": [entry.as_dict() for entry in entries]}))
+        _print_json({"plugins": [entry.as_dict() for entry in entries]})
         return 0
     from rich.console import Console
     from rich.table import Table
@@ -341,7 +340,7 @@ def study_run(
     )
     _print_notes(outcome.notes)
     if json_:
-        print(json.dumps(outcome.as_dict()))
+        _print_json(outcome.as_dict())
     else:
         _print_outcome(loaded.name, outcome)
     return 0 if outcome.complete else 1
@@ -360,7 +359,7 @@ def study_table(
 
     rows = read_table(folder)
     if json_:
-        print(json.dumps({"rows": [{k: _finite(v) for k, v in row.items()} for row in rows]}))
+        _print_json({"rows": rows})
     else:
         columns = shown_columns(rows, column)
         _print_table([columns, *([_cell(row[name]) for name in columns] for row in rows)])
@@ -434,7 +433,7 @@ def _validate_study(file: Path, as_json: bool) -> int:
     study = read_study(file)
     axes = {axis.name: len(axis.labels) for axis in study.axes}
     if as_json:
-        print(json.dumps({"valid": True, "runs": len(study), "axes": axes}))
+        _print_json({"valid": True, "runs": len(study), "axes": axes})
     else:
         print(f"{file}: valid; {len(study)} runs: " + " x ".join(f"{n} {name}" for name, n in axes.items()))
     return 0
@@ -474,6 +473,12 @@ def _solver_output(verbose: bool) -> Iterator[None]:
         return
     with redirect_stdout(sys.stderr):
         yield
+
+
+def _print_json(result: Mapping[str, Any]) -> None:
+    from opfmodel.results import finite
+
+    print(json.dumps(finite(result), allow_nan=False))
 
 
 def _print_notes(notes: tuple[str, ...]) -> None:
@@ -579,8 +584,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}" if abs(value) >= 1e3 else f"{value:.4g}"
     return str(value)
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows no infinity and no nan."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from opfmodel.errors import OpfmodelError
 from opfmodel.scenario import Scenario, load_scenario
 from opfmodel.simulation import Run
 
@@ -64,6 +65,13 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     ----------
     on_run
         Called with a few words before each of the runs.
+
+    Raises
+    ------
+    ScenarioError
+        The file, or one of its variants, is not accepted.
+    KeyboardInterrupt
+        The user pressed Ctrl-C during one of the runs.
     """
     costs: dict[str, float | None] = dict.fromkeys(COSTS)
     failures: dict[str, str] = {}
@@ -72,14 +80,23 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
 
     def loop(name: str, controlled: Scenario) -> None:
         said(f"{controlled.name}: {COSTS[name]}")
-        run: Run = controlled.simulate()
+        try:
+            run: Run = controlled.simulate()
+        except OpfmodelError as error:
+            failures[name] = str(error)
+            return
+        if run.interrupted:  # the loop ends in order, and the comparison with it
+            raise KeyboardInterrupt
         if run.status == "done":
             costs[name] = run.cost
         else:
             failures[name] = f"{run.status}: {run.termination}"
 
     loop("J_e", scenario)
-    costs["J_s"] = scenario.single_stages(scenario.steps).cost
+    try:
+        costs["J_s"] = scenario.single_stages(scenario.steps).cost
+    except OpfmodelError as error:
+        failures["J_s"] = str(error)
     for name, variant in _VARIANTS.items():
         if variant in scenario.settings.variants:
             loop(name, load_scenario(path, variant))

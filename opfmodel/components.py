@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache
 from itertools import pairwise
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -121,7 +121,7 @@ def flag(default: bool) -> Any:
     return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
@@ -130,7 +130,6 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
         return
     if not _is_number(value):
         raise ComponentError(name, key, value, f"must be a number in {_unit(rules)}")
-    assert isinstance(value, int | float)
     if math.isnan(value) or (rules["finite"] and math.isinf(value)):
         raise ComponentError(name, key, value, "must be a finite number")
     if value < rules["at_least"]:
@@ -143,7 +142,7 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
 
 def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
     if rules["symmetric"] and _is_number(value):
-        if not value >= 0:  # type: ignore[operator]
+        if not value >= 0:
             raise ComponentError(
                 name, key, value, "a single number stands for (-a, a); it must be at least 0"
             )

@@ -161,7 +161,7 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
         return numbers[0]
     if len(numbers) < steps:
         raise ConstraintError(f"has {len(numbers)} values; {steps} are needed, steps + horizon - 1", key)
-    return numbers
+    return numbers[:steps]
 
 
 def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str, Index]]:

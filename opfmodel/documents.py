@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.scalarbool import ScalarBoolean
 
 from opfmodel.errors import ScenarioError, nearest
 
@@ -79,9 +80,16 @@ def read_document(path: str | Path) -> Document:
         raise ScenarioError(f"{path}:{where}not YAML: {error.problem or error.context}") from None
     except (YAMLError, ValueError) as error:
         raise ScenarioError(f"{path}: not YAML: {error}") from None
+    except RecursionError:
+        raise ScenarioError(f"{path}: nested too deeply") from None
     positions: dict[Key, tuple[int, int]] = {}
     reader = _Plain(path, positions)
-    return Document(path, reader.convert(tree, ()), positions)
+    try:
+        return Document(path, reader.convert(tree, ()), positions)
+    except RecursionError:
+        raise ScenarioError(
+            f"{path}: nested too deeply; does an alias stand inside its own anchor?"
+        ) from None
 
 
 def validated(document: Document, content: Any, model: type[Model]) -> Model:
@@ -176,6 +184,8 @@ class _Plain:
 
 def _scalar(node: Any) -> Any:
     """A plain Python value instead of ruamel's subclass of it."""
+    if isinstance(node, ScalarBoolean):  # an int: what a truth value with an anchor is read as
+        return bool(node)
     for kind in (bool, int, float, str):
         if isinstance(node, kind):
             return kind(node)

@@ -147,7 +147,7 @@ def make(
         for p in inspect.signature(cls).parameters.values()
         if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
     }
-    hints = get_type_hints(cls.__init__) if "__init__" in vars(cls) else {}
+    hints = get_type_hints(cls.__init__)
     checked = {}
     for key, value in options.items():
         if key not in accepted:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from opfmodel.units import scale
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["dataset", "load", "replace", "save"]
+__all__ = ["dataset", "finite", "load", "replace", "save"]
 
 Array = npt.NDArray[np.float64]
 
@@ -85,10 +86,19 @@ def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         replace(folder / "trajectories.nc", lambda path: data.to_netcdf(path, engine="h5netcdf"))
-        text = json.dumps(summary, indent=2) + "\n"
+        text = json.dumps(finite(summary), indent=2, allow_nan=False) + "\n"
         replace(folder / "summary.json", lambda path: path.write_text(text, encoding="utf-8"))
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
+
+
+def finite(value: Any) -> Any:
+    """Plain data as JSON can have it, which knows no infinity and no nan: these become None."""
+    if isinstance(value, Mapping):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def load(folder: str | Path) -> xr.Dataset:

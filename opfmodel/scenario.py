@@ -411,6 +411,8 @@ class _Declarations:
         if base_mva is not None:
             raise self.document.error(("network", "base_mva"), "is given by the network file")
         price = self.section.get("default_cost")
+        if price is not None and (isinstance(price, bool) or not isinstance(price, int | float)):
+            raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
         with _located(self.document, ("network", "file")):
             return cases.read_network(
                 self.document.path.parent / file,
@@ -489,7 +491,7 @@ def _pattern(name: str) -> re.Pattern[str]:
     return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))
 
 
-_SHARE = re.compile(r"\s*([0-9.]+)\s*%\s*of\s+(\w+)\s*")
+_SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
 
 
 def component_kinds() -> tuple[list[type[Component]], list[str]]:
@@ -522,7 +524,10 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
         name, options = _single(document, key, spec)
         with _located(document, (*key, name)):
             plugins.make("profile", name, options).apply(book)
-    return Profiles.of(book.series)
+    with _located(document, ("profiles",)):
+        made = Profiles.of(book.series)
+        made.check(network, per_unit(network))
+        return made
 
 
 def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
@@ -603,6 +608,8 @@ def _check_plant(document: Document, scenario: Scenario) -> None:
         if key not in accepted:
             known = f"it takes {', '.join(accepted)}" if accepted else "it takes none"
             raise document.error(("plant", key), f"mode {settings.mode!r} has no such option; {known}")
+    with _located(document, ("plant",)):
+        scenario.plant()
     if settings.participation is not None:
         with _located(document, ("plant", "participation")):
             PowerFlow(settings.participation).shares(per_unit(scenario.network))

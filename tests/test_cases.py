@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import DATA, SCENARIOS
 
@@ -33,6 +34,15 @@ def test_storage_survives_the_way_through_a_file(tmp_path: Path) -> None:
     )
     again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
     assert again.storage5.resolved() == network.storage5
+
+
+def test_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
+    grid = om.Network()
+    grid.add("1", om.Bus(reference=True))
+    grid.cell = om.Storage("1", energy=np.float64(20), power=np.int64(5))
+    again = om.read_network(om.write_network(grid, tmp_path / "cell.m"))
+    assert again.storage1.energy == 20
+    assert again.storage1.power == (-5, 5)
 
 
 def test_names_that_are_not_numbers_are_numbered(grid: om.Network, tmp_path: Path) -> None:

@@ -297,3 +297,26 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["redispatched_mwh"] > 1
     assert float(load(tmp_path)["flow_excess"].max()) == pytest.approx(summary["largest_flow_excess"])
+
+
+def test_what_is_not_finite_is_null_in_json(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "weak.yaml").write_text(WEAK)
+    code, out, _ = call("run", tmp_path / "weak.yaml", "--out", tmp_path, "--json", "--no-figures")
+    assert code == 0
+    for text in (out, (tmp_path / "summary.json").read_text()):
+        summary = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+        assert summary["unsolved_steps"] == 1
+        assert summary["cost"] is None
+
+
+# a line too weak for the AC equations, planned without them
+WEAK = """
+network:
+  buses: {a: {reference: true}, b: {}}
+  branches: {l: {from_bus: a, to_bus: b, r: 0.1, x: 1}}
+  generators: {coal: {bus: a, p: [0, 500]}}
+  loads: {town: {bus: b, p: 300}}
+cost: {loss-minimisation: {price: 1}}
+controller: {formulation: dc, objective: economic}
+plant: {mode: power-flow}
+"""

@@ -6,6 +6,7 @@ import copy
 import math
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -192,3 +193,8 @@ def test_a_piecewise_linear_cost_is_the_largest_of_its_lines(
     expected = np.interp(inside, powers, costs)
     expected += slopes[0] * min(at - powers[0], 0.0) + slopes[-1] * max(at - powers[-1], 0.0)
     assert value == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("number", [np.int64(5), np.int32(5), np.float32(5), np.float64(5)])
+def test_numbers_of_numpy_are_numbers(number: float) -> None:
+    assert om.Network().add("town", om.Load("a", p=number)) == om.Load("a", p=5.0)

@@ -250,6 +250,14 @@ def test_a_limit_from_a_file(tmp_path: Path) -> None:
             scenario(tmp_path, text.replace(old, new))
 
 
+def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
+    text = SCENARIO.replace(
+        "at_most: [80, 70, 60, 50]", "at_least: [0, 0, 0, 0, 0, 0], at_most: [80, 70, 60, 50, 40]"
+    )
+    export = scenario(tmp_path, text).constraints["export"]
+    assert (export.at_least, export.at_most) == ([0, 0, 0, 0], [80, 70, 60, 50])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -113,8 +113,12 @@ def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
     [
         ("", "needs a line of headings"),
         ("hour\n1\n", "needs a line of headings"),
-        ("hour,town.p\n0,1\n1,many\n", "row 3, column 'town.p': 'many' is not a number"),
-        ("hour,town.p\n0\n", "row 2, column 'town.p': 'nothing' is not a number"),
+        ("hour,town.p\n0,1\n1,many\n", "line 3, column 'town.p': 'many' is not a number"),
+        ("hour,town.p\n0\n", "line 2, column 'town.p': nothing is not a number"),
+        ("town.p\n# a comment\n1\nmany\n", "line 4, column 'town.p': 'many' is not a number"),
+        ("town.p\n1\ninf\n", "line 3, column 'town.p': must be finite"),
+        (f"town.p\n{200_000 * '1'}\n", "cannot be read: field larger than"),
+        ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
         ("issued,town.p\n3,1\n", "nothing was issued by step 1; first is 3"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
         ("hour,twon.p\n" + 9 * "0,1\n", "column 'twon.p': there is no such series"),
@@ -295,3 +299,15 @@ def greedy(self, actual, time, stages):
 def test_a_forecast_that_breaks_a_rule_is_caught(expected: object, message: str) -> None:
     with pytest.raises(ContractError, match=message):
         check_forecast(planted(expected))
+
+
+def test_an_inherited_constructor_has_the_types_of_its_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Mine(File):
+        """What my file says."""
+
+    monkeypatch.setattr(plugins, "load", lambda sort, name: Mine)
+    path = write(tmp_path, "town.p\n1\n")
+    made = plugins.make("forecast", "mine", {"file": path.name}, {Path: lambda name: tmp_path / name})
+    assert made.file == path

@@ -75,6 +75,19 @@ def test_an_exact_plan_is_changed_by_nothing(plant: type, delay: int) -> None:
     assert run.summary()["violated_steps"] == 0
 
 
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_grid_without_generators_lives_on_its_stores(plant: type) -> None:
+    grid = two_bus()
+    grid.remove("coal")
+    grid.update("cell", bus="north", q=(-60, 60))
+    grid.update("town", p=5, q=2)
+    problem = om.MultiStage(grid, 2, objective=om.LossMinimisation(1.0))
+    run = om.simulate(problem, plant(), 2)
+    assert run.status == "done"
+    assert run.summary()["unsolved_steps"] == 0
+    assert check(grid, run.data).max_violation <= 1e-6
+
+
 # A simplified plan ----------------------------------------------------------------------------------
 
 

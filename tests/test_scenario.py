@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import opfmodel as om
+from opfmodel.documents import read_document
 from opfmodel.errors import OpfmodelError, ScenarioError
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
@@ -75,6 +76,12 @@ def test_the_same_grid_by_dsl_by_yaml_and_by_file_has_the_same_optimum(tmp_path:
     assert optima[2] == pytest.approx(optima[0], rel=1e-8)
 
 
+def test_a_limit_that_a_component_lacks_can_have_a_series(tmp_path: Path) -> None:
+    (tmp_path / "limits.csv").write_text("g.ramp\n5\n3\n")
+    text = MINIMAL + "time: {steps: 2}\nprofiles: [{table: {file: limits.csv}}]\n"
+    assert om.load_scenario(write(tmp_path, text)).profiles.series["g", "ramp"].tolist() == [5, 3]
+
+
 def test_a_minimal_scenario(tmp_path: Path) -> None:
     scenario = om.load_scenario(write(tmp_path, MINIMAL))
     assert (scenario.name, scenario.steps) == ("scenario", 1)
@@ -119,6 +126,10 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,x.p\n0,1\n0,1\n0,1\n", "the network has no component 'x'"),
         ("hour,l.x\n0,1\n0,1\n0,1\n", "a load has no number 'x'"),
         ("hour,l.p\n0,1\n0,one\n0,1\n", "line 3, column 'l.p': 'one' is not a number"),
+        ("hour,l.p\n0,1\n0,nan\n0,1\n", "line 3, column 'l.p': 'nan' is not a number"),
+        ("hour,g.p\n0,1\n0,1\n0,1\n", "a generator has no number 'p'; it has p_min and p_max"),
+        ("hour,g.cost\n0,1\n0,1\n0,1\n", "a generator has no number 'cost'"),
+        ("hour,g.bus\n0,1\n0,1\n0,1\n", "a generator has no number 'bus'"),
         ("", "the file is empty"),
     ):
         (tmp_path / "demand.csv").write_text(wrong)
@@ -159,6 +170,11 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("formulation: ac", "solver: {nam: x}", ":49:12: controller.solver.nam: unknown key; did you mean 'name'"),
         ("base_mva: 100", "base_mva: -1", "base_mva = -1: must be a positive number"),
         ("base_mva: 100", "file: nofile.m", ":10:3: network.file: .*nofile.m: there is no such file"),
+        ("ramp: 10% of p_max, cost: {c2: 0.0010", "ramp: 1.2.3% of p_max, cost: {c2: 0.0010", ":25:.*gen1.ramp: '1.2.3% of p_max': must be a number"),
+        ("10% of p_max, cost: {c2: 0.0010", "10% of q, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* no number 'q'; it has q_min and q_max"),
+        ("10% of p_max, cost: {c2: 0.0010", "10% of bus, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* a generator has no number 'bus'"),
+        ("base_mva: 100", "file: a.m\n  default_cost: dear", ":11:3: network.default_cost: 'dear': must be a number"),
+        ("factor: 1.06", "factor: .nan", ":38:1: profiles: profile 'load2.p': step 0 is not a number"),
         ("step: 1.0", "step: 0", ":36:8: time.step: 0: input should be greater than 0"),
         ("time: {", "time: !!python/object:os.system {", ":36:1: the tag .* is not accepted"),
         ("  buses:", "  buses: [", "not YAML"),
@@ -187,11 +203,21 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
         (MINIMAL + "cost: []\n", "needs at least one objective"),
         (MINIMAL + "profiles: [{a: 1, b: 2}]\n", "one name with its options, not 2 keys"),
         (MINIMAL + "a: &a [1,1]\nb: &b [*a,*a]\n", "unknown key"),
+        (MINIMAL + f"variants: {{x: {500 * '['}{500 * ']'}}}\n", "nested too deeply"),
+        (
+            MINIMAL + "plant: {mode: redispatch, shedding_price: .inf}\n",
+            ":.:1: plant: .*inf: must be a positive price",
+        ),
     ],
 )
 def test_odd_documents(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=message):
         om.load_scenario(write(tmp_path, text))
+
+
+def test_a_truth_value_with_an_anchor_is_one(tmp_path: Path) -> None:
+    content = read_document(write(tmp_path, "a: &yes true\nb: *yes\nc: &no false\n")).content
+    assert [content[key] is value for key, value in (("a", True), ("b", True), ("c", False))] == [True] * 3
 
 
 def test_a_file_that_cannot_be_read_is_said(tmp_path: Path) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import SCENARIOS, two_bus
 
 import opfmodel as om
 from opfmodel.check import check, losses
+from opfmodel.comparison import compare
 from opfmodel.errors import ModelError
 from opfmodel.simulation import Run
 
@@ -122,3 +125,27 @@ def test_single_stage_is_without_storage_and_ramps() -> None:
     assert "ps" not in sequence.data
     assert sequence.data["pd"].sel(bus="south").values == pytest.approx([100])
     assert sequence.data["pg"].values[0, 0] > 100
+
+
+# Economic control beside tracking -------------------------------------------------------------------
+
+
+def test_a_cost_that_cannot_be_had_leaves_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "short.yaml"
+    path.write_text(
+        "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 40], cost: {c1: 10}}}\n"
+        "  loads: {l: {bus: a, p: 50}}\n  storages: {s: {bus: a, energy: 40, power: 20, q: 20}}\n"
+    )
+    found = compare(path)
+    assert found.costs["J_e"] is not None
+    assert found.costs["J_s"] is None
+    assert set(found.failures) == {"J_s"}
+
+
+def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(plant: om.NominalPlant, plan: om.Plan) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(om.NominalPlant, "apply", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        compare(SCENARIOS / "case5-step.yaml")

@@ -264,6 +264,16 @@ def test_a_failed_run_is_a_row_and_is_repeated_on_demand(folder: Path) -> None:
     assert run_study(study, out, workers=0, retry="all").done == 3
 
 
+def test_failed_runs_of_one_name_are_counted_each(folder: Path) -> None:
+    (folder / "tiny.yaml").write_text(TINY.replace("heavy:", "None:"))
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nset: {network.update: {unit: {p: [0, 1]}}}\nvary: {variant: [null, None]}\n"
+    )
+    study = read_study(folder / "study.yaml")
+    outcome = run_study(study, folder / "out", workers=0)
+    assert (outcome.total, outcome.failed, outcome.waiting) == (2, 2, 0)
+
+
 def test_parts_that_do_not_fit_together_are_a_row(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         f"scenario: {CASE5}\nset: {{time.steps: 1, controller.horizon: 2}}\nvary: {{controller.solver: [ipopt, osqp]}}\n"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import Array, Forecast, part
+from opfmodel.profiles.columns import numbers, read_rows
 from opfmodel.profiles.series import Profiles
 
 __all__ = ["File"]
@@ -32,7 +33,7 @@ class File(Forecast):
     Raises
     ------
     ProfileError
-        The file cannot be read, or a value is not a number; the message names row and column.
+        The file cannot be read, or a value is not a number; the message names line and column.
     """
 
     def __init__(self, file: Path) -> None:
@@ -72,35 +73,31 @@ class File(Forecast):
 
 def _read(path: Path) -> dict[int, dict[tuple[str, str], Array]]:
     """Series by component and field, by the step at which they were issued."""
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            lines = [line for line in csv.reader(stream) if line and not line[0].startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: cannot be read: {error}") from error
-    header = [heading.strip() for heading in lines[0]] if lines else []
-    columns = {n: heading.rpartition(".") for n, heading in enumerate(header) if "." in heading}
-    if not columns or len(lines) < 2:
+    headings, rows = read_rows(path)
+    series = [n for n, heading in enumerate(headings) if "." in heading]
+    if not series or not rows:
         raise ProfileError(f"{path}: needs a line of headings 'component.field' and a row per step")
-    values = np.array([[_number(path, lines, row, n) for n in columns] for row in range(1, len(lines))])
-    steps = np.zeros(len(values))
-    if _ISSUED in header:
-        position = header.index(_ISSUED)
-        steps = np.array([_number(path, lines, row, position) for row in range(1, len(lines))])
+    columns = {n: _finite(path, headings[n], n, rows) for n in series}
+    steps = np.zeros(len(rows))
+    if _ISSUED in headings:
+        steps = _finite(path, _ISSUED, headings.index(_ISSUED), rows)
+        parts = np.flatnonzero(steps != np.floor(steps))
+        if parts.size:
+            raise ProfileError(
+                f"{path}: line {rows[parts[0]][0]}, column '{_ISSUED}': {steps[parts[0]]:g} is not a step"
+            )
+    named = {n: headings[n].rpartition(".") for n in series}
     return {
         int(step): {
-            (component, field): values[steps == step, n]
-            for n, (component, _, field) in enumerate(columns.values())
+            (component, field): columns[n][steps == step] for n, (component, _, field) in named.items()
         }
         for step in np.unique(steps)
     }
 
 
-def _number(path: Path, lines: list[list[str]], row: int, column: int) -> float:
-    try:
-        value = float(lines[row][column])
-    except (ValueError, IndexError):
-        value = np.nan
-    if not np.isfinite(value):
-        found = lines[row][column] if column < len(lines[row]) else "nothing"
-        raise ProfileError(f"{path}: row {row + 1}, column {lines[0][column]!r}: {found!r} is not a number")
-    return value
+def _finite(path: Path, heading: str, column: int, rows: Sequence[tuple[int, list[str]]]) -> Array:
+    values = numbers(path, heading, column, rows)
+    endless = np.flatnonzero(~np.isfinite(values))
+    if endless.size:
+        raise ProfileError(f"{path}: line {rows[endless[0]][0]}, column {heading!r}: must be finite")
+    return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -75,15 +76,25 @@ class ProfileRule:
 
 
 def constant(component: Component, key: str) -> float:
-    """Value of a field of a table (``p``, ``p_max``, ``c1``) as the component declares it."""
-    resolved = component.resolved()
+    """Value of a field of a table (``p``, ``p_max``, ``c1``) as the component declares it.
+
+    Raises
+    ------
+    ProfileError
+        The component has no such number; of a range the message names the two ends.
+    """
+    resolved, known = component.resolved(), component.fields()
+    forms = {name: item.metadata["form"] for name, item in known.items()}
     stem, _, end = key.rpartition("_")
-    value = getattr(resolved, key, None)
-    if value is None and end in ("min", "max") and hasattr(resolved, stem):
+    if forms.get(key) == "number":
+        value = getattr(resolved, key)
+        return math.inf if value is None else float(value)  # None is "no limit"
+    if forms.get(stem) == "span" and end in ("min", "max"):
         pair = getattr(resolved, stem)
-        value = pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair)
-    if value is None:
-        value = getattr(getattr(resolved, "cost", None), key, None)
-    if value is None:
-        raise ProfileError(f"a {component.kind} has no number {key!r}")
-    return float(value)
+        return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))
+    if "cost" in forms.values() and key in ("c2", "c1", "c0"):
+        costs = [getattr(resolved, name) for name, form in forms.items() if form == "cost"]
+        if hasattr(costs[0], key):
+            return float(getattr(costs[0], key))
+    ends = f"; it has {key}_min and {key}_max" if forms.get(key) == "span" else ""
+    raise ProfileError(f"a {component.kind} has no number {key!r}{ends}")

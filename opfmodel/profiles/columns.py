@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy.typing as npt
 
 from opfmodel.errors import ProfileError
 
-__all__ = ["read_columns"]
+__all__ = ["numbers", "read_columns", "read_rows"]
 
 Array = npt.NDArray[np.float64]
+Row = tuple[int, list[str]]
 
 
 def read_columns(path: Path, steps: int, headings: list[str] | None = None) -> dict[str, Array]:
@@ -30,32 +32,50 @@ def read_columns(path: Path, steps: int, headings: list[str] | None = None) -> d
     ProfileError
         The file cannot be read, is too short, lacks a column, or has an entry that is not a number.
     """
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            numbered = enumerate(csv.reader(stream), 1)
-            lines = [(number, line) for number, line in numbered if line and not line[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ProfileError(f"{path}: cannot be read: {error}") from error
-    if not lines:
+    found, rows = read_rows(path)
+    if not found:
         raise ProfileError(f"{path}: the file is empty")
-    found, rows = [heading.strip() for heading in lines[0][1]], lines[1:]
     if len(rows) < steps:
         raise ProfileError(f"{path}: {len(rows)} rows; {steps} are needed")
     wanted = [heading for heading in found if "." in heading] if headings is None else headings
     missing = [heading for heading in wanted if heading not in found]
     if missing:
         raise ProfileError(f"{path}: no column {missing[0]!r}; columns are: {', '.join(found)}")
-    return {heading: _column(path, heading, found.index(heading), rows[:steps]) for heading in wanted}
+    return {heading: numbers(path, heading, found.index(heading), rows[:steps]) for heading in wanted}
 
 
-def _column(path: Path, heading: str, column: int, rows: list[tuple[int, list[str]]]) -> Array:
+def read_rows(path: Path) -> tuple[list[str], list[Row]]:
+    """Headings of a CSV file, none if it is empty, and its rows with their line numbers; no comments.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be read.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.reader(stream)
+            lines = [(reader.line_num, line) for line in reader if line and not line[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ProfileError(f"{path}: cannot be read: {error}") from error
+    return [heading.strip() for heading in lines[0][1]] if lines else [], lines[1:]
+
+
+def numbers(path: Path, heading: str, column: int, rows: Sequence[Row]) -> Array:
+    """A column of some rows.
+
+    Raises
+    ------
+    ProfileError
+        An entry is not a number; the message names its line.
+    """
     values = np.zeros(len(rows))
     for position, (number, row) in enumerate(rows):
         try:
             values[position] = float(row[column])
         except (ValueError, IndexError):
+            values[position] = np.nan
+        if np.isnan(values[position]):
             entry = repr(row[column]) if column < len(row) else "nothing"
-            raise ProfileError(
-                f"{path}: line {number}, column {heading!r}: {entry} is not a number"
-            ) from None
+            raise ProfileError(f"{path}: line {number}, column {heading!r}: {entry} is not a number")
     return values

@@ -111,7 +111,7 @@ class _ACPlant:
         before = self._before
         values |= excesses(network, values, plan.problem.step, before)
         values |= changes(network, values, planned, self._available)
-        self._before, self._next = values["generator", "pg"], plan.time + 1
+        self._before, self._next = values.get(("generator", "pg")), plan.time + 1
         return Step(
             values={**{key: price[:, 0] for key, price in plan.prices().items()}, **values},
             state=self._state(plan, values, network),
@@ -165,7 +165,7 @@ class _ACPlant:
         planned; with 0 it is ramped from what was really generated, as far as the unit's limits go.
         """
         state = plan.next_state(values)
-        if plan.problem.generator_delay == 0:
+        if plan.problem.generator_delay == 0 and "pg" in state:
             table = network.generator
             low, high = (_columns(table.arrays[field])[:, 0] for field in ("p_min", "p_max"))
             state["pg"] = np.clip(state["pg"], low * network.base_mva, high * network.base_mva)
@@ -296,7 +296,8 @@ class Redispatch(_ACPlant):
     def _find(self, plan: Plan, planned: Values, network: PerUnitNetwork) -> Plan:
         base = network.base_mva
         before = None if self._before is None else self._before * base
-        initial = {"pg": before, "qg": None, **plan.stocks()}
+        dispatch = {"pg": before, "qg": None} if len(network.generator) else {}
+        initial = {**dispatch, **plan.stocks()}
         return self._solve(plan.time, initial, self._set_points.targets(network, planned))
 
 

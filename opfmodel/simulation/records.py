@@ -55,16 +55,17 @@ def excesses(network: PerUnitNetwork, values: Values, step: float, before: Array
     bus, branch, generator = network.bus, network.branch, network.generator
     ends = [np.hypot(values["branch", f"p{end}"], values["branch", f"q{end}"]) for end in "ft"]
     angle = values["bus", "va"][branch.from_bus] - values["bus", "va"][branch.to_bus]
-    pg = values["generator", "pg"]
     made = {
         ("bus", "vm_excess"): _outside(values["bus", "vm"], bus, "vm_min", "vm_max"),
         ("branch", "flow_excess"): np.maximum(np.maximum(*ends) - _now(branch, "rating"), 0.0),
         ("branch", "angle_excess"): _outside(angle, branch, "angle_min", "angle_max"),
-        ("generator", "pg_excess"): _outside(pg, generator, "p_min", "p_max"),
-        ("generator", "qg_excess"): _outside(values["generator", "qg"], generator, "q_min", "q_max"),
     }
-    change = np.zeros_like(pg) if before is None else np.abs(pg - before)
-    made["generator", "ramp_excess"] = np.maximum(change - step * _now(generator, "ramp"), 0.0)
+    if len(generator):
+        pg, qg = values["generator", "pg"], values["generator", "qg"]
+        made["generator", "pg_excess"] = _outside(pg, generator, "p_min", "p_max")
+        made["generator", "qg_excess"] = _outside(qg, generator, "q_min", "q_max")
+        change = np.zeros_like(pg) if before is None else np.abs(pg - before)
+        made["generator", "ramp_excess"] = np.maximum(change - step * _now(generator, "ramp"), 0.0)
     if ("storage", "e_next") in values:
         storage = network.storage
         made["storage", "e_excess"] = _outside(values["storage", "e_next"], storage, "energy_min", "energy")
@@ -86,8 +87,9 @@ def changes(
         for kind, name in (("generator", "pg"), ("storage", "ps"))
         if (kind, name) in planned
     }
-    unused = np.maximum(_now(network.generator, "p_max") - values["generator", "pg"], 0.0)
-    made["generator", "pg_curtailed"] = np.where(available, unused, 0.0)
+    if len(network.generator):
+        unused = np.maximum(_now(network.generator, "p_max") - values["generator", "pg"], 0.0)
+        made["generator", "pg_curtailed"] = np.where(available, unused, 0.0)
     return made
 
 

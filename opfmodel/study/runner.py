@@ -194,12 +194,13 @@ def _outcome(
     failures = {
         described(run.labels): str(r.result["error"]) for run, r in records if r is not None and r.failed
     }
+    failed = sum(r is not None and r.failed for _, r in records)
     fine = [record.key for _, record in records if record is not None and not record.failed]
     done = sum(key in made for key in fine)
     return Outcome(
         total=len(runs),
         done=done,
-        failed=len(failures),
+        failed=failed,  # not the number of names: 1 and "1" are two labels and one name
         skipped=len(fine) - done,
         interrupted=interrupted,
         seconds=seconds,

@@ -27,7 +27,7 @@ def check_options(rules: Contract, cls: type[Any]) -> None:
 
     check_documentation(rules, cls)
     with rules.rule("annotates its options with types that can be resolved"):
-        hints = get_type_hints(cls.__init__) if "__init__" in vars(cls) else {}
+        hints = get_type_hints(cls.__init__)
     documentation = inspect.getdoc(cls) or ""
     for name, option in inspect.signature(cls).parameters.items():
         named = option.kind in (option.POSITIONAL_OR_KEYWORD, option.KEYWORD_ONLY)
