@@ -254,3 +254,12 @@ def test_a_damaged_file_gives_an_owned_error_or_a_sound_scenario(
         om.load_scenario(path)
     except OpfmodelError as error:
         assert str(path.name) in str(error)
+
+
+def test_random_demand_does_not_depend_on_the_horizon() -> None:
+    short, long = (
+        om.load_scenario(SCENARIOS / "case5-random.yaml", overrides={"controller.horizon": horizon})
+        for horizon in (2, 48)
+    )
+    for key, values in short.profiles.series.items():
+        assert long.profiles.series[key][: len(values)] == pytest.approx(values, rel=1e-12), key

@@ -17,8 +17,8 @@ Array = npt.NDArray[np.float64]
 Row = tuple[int, list[str]]
 
 
-def read_columns(path: Path, steps: int, headings: list[str] | None = None) -> dict[str, Array]:
-    """Columns of a CSV file by heading, the first ``steps`` rows of each.
+def read_columns(path: Path, steps: int | None, headings: list[str] | None = None) -> dict[str, Array]:
+    """Columns of a CSV file by heading, the first ``steps`` rows of each; all rows if it is None.
 
     Lines that begin with ``#`` are comments.
 
@@ -35,7 +35,7 @@ def read_columns(path: Path, steps: int, headings: list[str] | None = None) -> d
     found, rows = read_rows(path)
     if not found:
         raise ProfileError(f"{path}: the file is empty")
-    if len(rows) < steps:
+    if steps is not None and len(rows) < steps:
         raise ProfileError(f"{path}: {len(rows)} rows; {steps} are needed")
     wanted = [heading for heading in found if "." in heading] if headings is None else headings
     missing = [heading for heading in wanted if heading not in found]

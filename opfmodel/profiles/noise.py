@@ -49,8 +49,9 @@ class Noise(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Multiply the demand."""
         names = book.loads(self.loads)
-        noise = np.random.Generator(np.random.PCG64(self.seed)).standard_normal((len(names), book.steps))
-        noise *= self.deviation
+        # step by step, so that a longer horizon changes nothing in the steps before
+        draws = np.random.Generator(np.random.PCG64(self.seed)).standard_normal((book.steps, len(names)))
+        noise = self.deviation * draws.T
         for t in range(1, book.steps):
             fresh = np.sqrt(1.0 - self.correlation**2) * noise[:, t]
             noise[:, t] = self.correlation * noise[:, t - 1] + fresh

@@ -10,7 +10,7 @@ __all__ = ["Shape"]
 
 
 class Shape(ProfileRule):
-    """Multiply demand, active and reactive, by a column of a CSV file divided by its mean.
+    """Multiply demand, active and reactive, by a column of a CSV file divided by the mean of all its rows.
 
     Parameters
     ----------
@@ -35,10 +35,13 @@ class Shape(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Multiply the demand."""
         path = book.folder / self.file
-        columns = read_columns(path, book.steps, [self.column, *self.less])
+        columns = read_columns(path, None, [self.column, *self.less])
         curve = columns[self.column] - sum(columns[heading] for heading in self.less)
+        if len(curve) < book.steps:
+            raise ProfileError(f"{path}: {len(curve)} rows; {book.steps} are needed")
         if curve.mean() <= 0:
             raise ProfileError(f"{path}: the mean of column {self.column!r} is not positive")
+        factor = curve[: book.steps] / curve.mean()
         for load in book.loads(self.loads):
             for key in ("p", "q"):
-                book.set(load, key, book.get(load, key) * curve / curve.mean())
+                book.set(load, key, book.get(load, key) * factor)
