@@ -29,13 +29,13 @@ code to it.
 
 {table}
 
-**Why they differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The steps
-of demand here (at bus 4 of the 5-bus system, at buses 59 and 116 of the 118-bus system) and the random
-demand (the load of Germany in a week of July 2019 with noise at every bus; the paper used a day of July
-2018) are our choices, stated in the scenario files. The level of the random demand was chosen so that J_s
-is near the paper's, and noise of 5 % for the 5-bus system because with 10 % its ramps can make J_e dearer than
-J_s; nothing else was fitted. What can be compared is therefore the order J_e < J_s ≤ J_t < J_b, which holds in all four systems in the paper and
-here, and the size of the steps between them:
+**Why they differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The
+steps of demand here (at bus 4 of the 5-bus system, at buses 59 and 116 of the 118-bus system) and the
+random demand (the load of Germany in a week of July 2019 with noise at every bus; the paper used a day of
+July 2018) are our choices, stated in the scenario files. The level of the random demand was chosen so
+that J_s is near the paper's, and noise of 5 % for the 5-bus system because with 10 % its ramps can make
+J_e dearer than J_s; nothing else was fitted. What can be compared is therefore the order J_e < J_s ≤ J_t
+< J_b, which holds in all four systems in the paper and here, and the size of the steps between them:
 
 {gains}
 

@@ -378,15 +378,15 @@ class Model:
             if self.stages > 1 and ramped.size:
                 change = moving[:, 1:] - moving[:, :-1]
                 self.rows(kind, f"{name}_ramp", change, floor, limit, replace(soft, first=1))
-                self.price(
-                    kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
-                    "$/MW", "value of one more MW of change from the stage before",
-                )  # fmt: skip
             if ramped.size:  # bounds decide in every solve whether it counts
                 before = self.build.parameter(f"{name}_previous", ramped.size)
                 self.rows(
                     kind, f"{name}_ramp_first", moving[:, :1] - before,
                     lambda t: _first(floor(t)), lambda t: _first(limit(t)), soft,
+                )  # fmt: skip
+                self.price(
+                    kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
+                    "$/MW", "value of one more MW of change from the stage before",
                 )  # fmt: skip
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
@@ -394,7 +394,8 @@ class Model:
     def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
         def read(solution: Solution, _: PerUnitNetwork) -> Array:
             price = np.zeros((items, self.stages))
-            price[ramped, 1:] = np.abs(solution.dual(f"{name}_ramp"))
+            if self.stages > 1:
+                price[ramped, 1:] = np.abs(solution.dual(f"{name}_ramp"))
             price[ramped, :1] = np.abs(solution.dual(f"{name}_ramp_first"))
             return price
 

@@ -341,3 +341,11 @@ def test_a_dangling_component_is_found_when_the_problem_is_made() -> None:
     grid.ghost = om.Load("nowhere", p=1)
     with pytest.raises(ComponentError, match="ghost: bus = 'nowhere'"):
         om.MultiStage(grid)
+
+
+def test_a_ramp_has_its_price_in_a_horizon_of_one_stage() -> None:
+    problem = om.MultiStage(two_bus())  # 90 MW of demand, of which storage would serve 10 for nothing
+    plan, lower = (problem.solve(initial={"pg": [pg], "e": [100.0]}) for pg in (108.0, 107.0))
+    price = float(plan.data["pg_ramp_price"].values[0, 0])
+    assert price == pytest.approx(plan.objective - lower.objective, rel=1e-2)
+    assert price > 15

@@ -93,6 +93,8 @@ class Controller:
     def plan(self, time: int, state: Initial | None) -> Plan:
         """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
         expected, last = self._expected(time), self._last
+        if last is not None and last.time > time:  # another run has begun
+            last = None
         solve = partial(self.problem.solve, time, state, expected=expected)
         ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
         if last is not None:
@@ -323,13 +325,14 @@ def simulate(
 
 def _record(plan: Plan, attempts: list[Attempt], seconds: float) -> dict[str, Any]:
     elastic = plan.problem.elastic is not None and plan.optimal
+    counted = [attempt.iterations for attempt in attempts if attempt.iterations is not None]
     return {
         "status": "elastic" if elastic else plan.status,
         "diagnosis": [str(shortage) for shortage in plan.shortages] if elastic else [],
         "termination": plan.termination,
         "solve_seconds": sum(attempt.seconds for attempt in attempts),
         "step_seconds": seconds,
-        "iterations": plan.solution.iterations,
+        "iterations": sum(counted) if counted else None,
         "attempts": [asdict(attempt) for attempt in attempts],
         "plan_objective": plan.objective,
     }

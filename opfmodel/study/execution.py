@@ -114,7 +114,7 @@ def _figures(specification: Specification) -> dict[str, Any]:
     counted = [plan["iterations"] for plan in run.plans if plan["iterations"] is not None]
     figures["iterations"] = sum(counted) if counted else None
     figures["error"] = None if run.status == "done" else f"{run.status}: {run.termination}"
-    if run.steps and "max_violation" not in figures:
+    if run.steps:
         series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
         report = check(scenario.network, run.data, series)
         figures["max_violation"] = report.max_violation

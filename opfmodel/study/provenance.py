@@ -61,7 +61,7 @@ def revision(folder: Path) -> str | None:
     try:
         commit = _git(folder, "rev-parse", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, subprocess.SubprocessError):
         return None  # no git, no repository, or no commit in it
     return commit + ("+" if changed else "")
 

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from solvers.assembly import Evaluator
 from solvers.certify import certified
 from solvers.clarabel import solve_clarabel
-from solvers.errors import SolverError, SolverOptionError
+from solvers.errors import SolverOptionError
 from solvers.matrices import MatrixMaker, proves_infeasible, standard_form
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
@@ -95,7 +95,7 @@ class QPSession:
         except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
             raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
-            raise SolverError(f"{self._solver} failed: {error}") from error
+            found = qpsolvers.Solution(problem, found=False, extras={"status": f"failed: {error}"})
         seconds = time.perf_counter() - began
         message, iterations = _describe(found.extras)
         termination = TerminationCondition.CONVERGED if found.found else TerminationCondition.said(message)
