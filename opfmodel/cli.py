@@ -1,12 +1,14 @@
-"""The command line. Exit status: 0 done; 1 not solved, or a check does not hold; 2 bad input or usage."""
+"""The command line. Exit status: 0 done; 1 not solved or interrupted; 2 bad input or usage."""
 
 from __future__ import annotations
 
+import ctypes
 import json
+import os
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -68,6 +70,9 @@ class Retry(StrEnum):
     ALL = "all"
 
 
+_CTRL_C = 130  # what Typer makes of it
+
+
 def main() -> NoReturn:
     """Run the command line; a mistake in the input is one line on standard error and exit status 2."""
     as_json = "--json" in sys.argv[1:]
@@ -76,15 +81,15 @@ def main() -> NoReturn:
         code = app(standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
-    except typer.Abort:
-        sys.exit(1)
-    except KeyboardInterrupt:
+    except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted", as_json, code=1)
     except Exception as error:
         message = _mistake(error)
         if message is None:
             raise
         _fail(message, as_json)
+    if code == _CTRL_C:
+        _fail("interrupted", as_json, code=1)
     sys.exit(code or 0)
 
 
@@ -133,8 +138,8 @@ def solve(
 ) -> int:
     """Solve one problem: of a network file its optimal power flow, of a scenario the first plan."""
     _check_on_infeasible(on_infeasible)
-    problem, initial = _problem(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
     with _solver_output(verbose):
+        problem, initial = _problem(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
         plan = problem.solve(initial=initial)
         diagnosis = []
         if not plan.optimal and on_infeasible == "elastic":
@@ -175,6 +180,8 @@ def solve(
             }
         )
         _print_diagnosis(diagnosis)
+        if plan.status.endswith("infeasible") and on_infeasible != "elastic":
+            print(_ELASTIC)
     return 0 if plan.optimal else 1
 
 
@@ -197,6 +204,7 @@ def run(
     changes = {} if on_infeasible is None else {"controller.on_infeasible": on_infeasible}
     loaded = _scenario(scenario, variant, set_, changes)
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
+    exceeded: dict[str, str] = {}
     with _solver_output(verbose):
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose, verbose=verbose)
     summary: dict[str, Any] = {
@@ -209,6 +217,7 @@ def run(
         data = done.data
         series = {f"{name}.{key}": values for (name, key), values in loaded.profiles.series.items()}
         report = check(loaded.network, data, series)
+        exceeded = _exceeded(report)
         summary |= {"max_violation": report.max_violation, "unchecked": list(report.unchecked)}
         results.save(data, summary, folder)
         if figures:
@@ -217,7 +226,9 @@ def run(
         _print_json(summary)
     else:
         _print_notes(done.problem.notes)
-        _print_run(summary, folder)
+        _print_run(summary, folder, exceeded)
+        if done.status.endswith("infeasible") and loaded.settings.controller.on_infeasible == "stop":
+            print(_ELASTIC)
     return 0 if done.status == "done" else 1
 
 
@@ -236,7 +247,8 @@ def table(
 
     for path in scenarios:
         _scenario(path, None, None)  # so that a mistake in any file is said before hours of work
-    rows = [comparison.compare(path, say) for path in scenarios]
+    with _solver_output(False):
+        rows = [comparison.compare(path, say) for path in scenarios]
     if json_:
         _print_json({"rows": [row.as_dict() for row in rows]})
     elif markdown:
@@ -329,15 +341,16 @@ def study_run(
     from opfmodel.study import read_study, run_study
 
     loaded = read_study(study)
-    outcome = run_study(
-        loaded,
-        Path("results") / loaded.name if out is None else out,
-        workers=workers,
-        scheduler=scheduler,
-        memory=memory,
-        retry=None if retry is None else retry.value,
-        progress=sys.stderr.isatty() and not json_,
-    )
+    with _solver_output(False):
+        outcome = run_study(
+            loaded,
+            Path("results") / loaded.name if out is None else out,
+            workers=workers,
+            scheduler=scheduler,
+            memory=memory,
+            retry=None if retry is None else retry.value,
+            progress=sys.stderr.isatty() and not json_,
+        )
     _print_notes(outcome.notes)
     if json_:
         _print_json(outcome.as_dict())
@@ -365,6 +378,9 @@ def study_table(
         _print_table([columns, *([_cell(row[name]) for name in columns] for row in rows)])
     return 0
 
+
+_TOLERATED = 1e-5  # p.u. or radians
+_ELASTIC = "--on-infeasible elastic says what is lacking, where and when"
 
 # Parts of the commands --------------------------------------------------------------------------
 
@@ -467,12 +483,28 @@ def _scenario(
 
 @contextmanager
 def _solver_output(verbose: bool) -> Iterator[None]:
-    """Send what a solver prints to standard error, so that standard output holds results alone."""
-    if not verbose:
-        yield
-        return
-    with redirect_stdout(sys.stderr):
-        yield
+    """Keep what a solver prints from standard output, which holds results alone; verbose shows it as errors.
+
+    Libraries write to the file descriptor, past Python's own stream.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - no path of a file
+        shown = sys.stderr if verbose else nowhere
+        os.dup2(2 if verbose else nowhere.fileno(), 1)
+        try:
+            with redirect_stdout(shown):
+                yield
+        finally:
+            _flush_libraries()
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
+def _flush_libraries() -> None:
+    """Write out what C libraries have buffered, while it still goes where it should."""
+    with suppress(OSError, TypeError):  # where the C library cannot be named, it is not buffered
+        ctypes.CDLL(None).fflush(None)
 
 
 def _print_json(result: Mapping[str, Any]) -> None:
@@ -522,7 +554,15 @@ def _unchecked(what: Iterable[str]) -> dict[str, str]:
     return {"not checked": said} if said else {}
 
 
-def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
+def _exceeded(report: Report) -> dict[str, str]:
+    """The line that names the worst violation, if it is more than solvers leave."""
+    worst = report.worst
+    if worst is None or worst.value <= _TOLERATED:
+        return {}
+    return {"limits exceeded": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst.value:.1e}"}
+
+
+def _print_run(summary: Mapping[str, Any], folder: Path, exceeded: Mapping[str, str]) -> None:
     done = summary["status"] == "done"
     violation = summary["max_violation"]
     mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
@@ -534,6 +574,7 @@ def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
             "iterations": _count(summary["iterations_mean"], "mean"),
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            **exceeded,
             **_measured(summary),
             **_unchecked(summary["unchecked"]),
             "results": f"{folder}" if summary["steps"] else "none",

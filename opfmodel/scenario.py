@@ -53,6 +53,7 @@ from opfmodel.simulation import (
     PowerFlow,
     Redispatch,
     Run,
+    check_answer,
     simulate,
 )
 from solvers import Kind, SolverError, find
@@ -609,7 +610,9 @@ def _check_plant(document: Document, scenario: Scenario) -> None:
             known = f"it takes {', '.join(accepted)}" if accepted else "it takes none"
             raise document.error(("plant", key), f"mode {settings.mode!r} has no such option; {known}")
     with _located(document, ("plant",)):
-        scenario.plant()
+        plant = scenario.plant()
+    with _located(document, ("forecast",)):
+        check_answer(scenario.forecast, plant)
     if settings.participation is not None:
         with _located(document, ("plant", "participation")):
             PowerFlow(settings.participation).shares(per_unit(scenario.network))

@@ -253,6 +253,51 @@ def test_ctrl_c_keeps_finished_steps(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
+# what a library prints past Python's own stream
+PRINT = """
+import ctypes, os
+from opfmodel.plan import MultiStage
+solve = MultiStage.solve
+def banner(*arguments, **options):
+    ctypes.CDLL(None).puts(b"BANNER")
+    os.write(1, b"BANNER")
+    return solve(*arguments, **options)
+MultiStage.solve = banner
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("solve", CASE14), ("solve", CASE14, "--verbose"), ("run", CASE5, *SHORT), ("table",)],
+    ids=["solve", "verbose", "run", "table"],
+)
+def test_what_solvers_print_is_not_among_the_results(arguments: tuple, tmp_path: Path) -> None:
+    if arguments[0] == "table":
+        (tmp_path / "s.yaml").write_text(WEAK.replace("p: 300", "p: 3"))
+        arguments = ("table", tmp_path / "s.yaml")
+    elif arguments[0] == "run":
+        arguments = (*arguments, "--out", tmp_path)
+    out, err = start(PRINT, *arguments, "--json").communicate()
+    assert isinstance(json.loads(out), dict)
+    assert ("BANNER" in err) == ("--verbose" in arguments)
+
+
+PRESS = """
+import os, signal
+from opfmodel.plan import MultiStage
+def solve(*arguments, **options):
+    os.kill(os.getpid(), signal.SIGINT)
+MultiStage.solve = solve
+"""
+
+
+@pytest.mark.parametrize("command", ["solve", "table"])
+def test_ctrl_c_is_said_and_ends_with_1(command: str) -> None:
+    process = start(PRESS, command, CASE5)
+    out, err = process.communicate()
+    assert (process.returncode, out, err) == (1, "", "error: interrupted\n")
+
+
 def test_help_needs_no_heavy_library() -> None:
     code = "import sys, opfmodel, opfmodel.cli; print([m for m in ('casadi', 'numpy', 'xarray', 'pydantic') if m in sys.modules])"
     out = subprocess.run(
@@ -270,6 +315,7 @@ def test_solve_says_what_is_short(call: Call) -> None:
     result = json.loads(out)
     assert code == 1
     assert result["status"] == "locally_infeasible"
+    assert "--on-infeasible elastic says" in call(*arguments[:-2])[1]
     (sentence,) = result["diagnosis"]
     assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
     code, out, _ = call(*arguments)
@@ -293,7 +339,8 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
     plant = ("--set", "plant.mode=power-flow", "--set", "controller.formulation=dc", "--out", tmp_path)
     code, out, _ = call("run", CASE5, *SHORT, *plant)
     assert code == 0
-    assert "limits         exceeded in 3 of 3 steps" in out
+    assert "limits           exceeded in 3 of 3 steps" in out
+    assert "limits exceeded  generator q at " in out
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["redispatched_mwh"] > 1
     assert float(load(tmp_path)["flow_excess"].max()) == pytest.approx(summary["largest_flow_excess"])

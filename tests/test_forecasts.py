@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel import plugins
 from opfmodel.check import check
-from opfmodel.errors import ProfileError, ScenarioError
+from opfmodel.errors import ModelError, ProfileError, ScenarioError
 from opfmodel.forecasts import File, Forecast, Noisy, Perfect, Persistence
 from opfmodel.testing import ContractError, check_forecast
 
@@ -171,8 +171,17 @@ def test_plans_are_made_for_the_forecast_and_met_by_what_happens() -> None:
 
 
 def test_no_forecast_is_a_perfect_one() -> None:
-    runs = [om.simulate(om.Controller(problem(), f), steps=3) for f in (None, Perfect(), Noisy(0.0, 1))]
-    assert {run.cost for run in runs} == {runs[0].cost}
+    runs = [om.simulate(om.Controller(problem(), f), steps=3) for f in (None, Perfect())]
+    assert runs[0].cost == runs[1].cost
+    plans = [om.Controller(problem(), f).plan(0, None).objective for f in (None, Noisy(0.0, 1))]
+    assert plans[0] == plans[1]
+
+
+def test_an_imperfect_forecast_needs_a_plant_that_answers(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="Noisy with the nominal plant: .* power-flow or redispatch"):
+        om.simulate(om.Controller(problem(), Noisy(0.1, 1)))
+    with pytest.raises(ScenarioError, match=r"scenario.yaml:8:1: forecast: .* power-flow or redispatch"):
+        om.load_scenario(written(tmp_path, "forecast: persistence"))
 
 
 def test_a_run_is_repeated_exactly() -> None:
@@ -205,10 +214,14 @@ time: {steps: 3}
 """
 
 
-def scenario(tmp_path: Path, text: str) -> om.Scenario:
+def written(tmp_path: Path, text: str) -> Path:
     path = tmp_path / "scenario.yaml"
     path.write_text(MINIMAL + text)
-    return om.load_scenario(path)
+    return path
+
+
+def scenario(tmp_path: Path, text: str) -> om.Scenario:
+    return om.load_scenario(written(tmp_path, text + "\nplant: {mode: redispatch}\n"))
 
 
 def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
@@ -219,8 +232,10 @@ def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
     assert (noisy.deviation, noisy.seed, noisy.correlation, noisy.fields) == (0.1, 4, 0.9, ("p",))
     write(tmp_path, "hour,town.p\n0,11\n1,12\n2,13\n")
     made = scenario(tmp_path, "forecast: {file: {file: forecast.csv}}")
+    plan = om.Controller(made.problem(), made.forecast).plan(0, None)
+    assert plan.data["pg"].values[:, 0] == pytest.approx([11], abs=1e-3)
     run = made.simulate()
-    assert run.data["pg"].values[:, 0] == pytest.approx([11, 12, 13], abs=1e-3)
+    assert run.data["pg_redispatch"].values[:, 0] == pytest.approx([1, 2, 3], abs=1e-2)
     assert run.data["pd"].values[:, 0] == pytest.approx([10, 10, 10])
 
 

@@ -1,6 +1,6 @@
 """The closed loop: a controller that plans, a plant that answers, and what happened."""
 
-from opfmodel.simulation.loop import Controller, OnInfeasible, Run, simulate
+from opfmodel.simulation.loop import Controller, OnInfeasible, Run, check_answer, simulate
 from opfmodel.simulation.plants import NominalPlant, Plant, PowerFlow, Redispatch, Step
 
 __all__ = [
@@ -12,5 +12,6 @@ __all__ = [
     "Redispatch",
     "Run",
     "Step",
+    "check_answer",
     "simulate",
 ]

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from opfmodel.elastic import Elastic
 from opfmodel.errors import ModelError
 from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts.perfect import Perfect
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
@@ -26,7 +27,7 @@ from solvers import SolutionStatus
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Attempt", "Controller", "OnInfeasible", "Run", "simulate"]
+__all__ = ["Attempt", "Controller", "OnInfeasible", "Run", "check_answer", "simulate"]
 
 Array = npt.NDArray[np.float64]
 OnInfeasible = Literal["stop", "elastic"]
@@ -282,6 +283,11 @@ def simulate(
     -------
     Run
         Also if a plan failed or the user pressed Ctrl-C: then with the steps done so far.
+
+    Raises
+    ------
+    ModelError
+        The time series are too short, or the forecast is imperfect and the plant nominal.
     """
     if isinstance(controller, MultiStage):
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
@@ -290,12 +296,13 @@ def simulate(
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
         raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
     plant = NominalPlant() if plant is None else plant
+    check_answer(controller.forecast, plant)
     problem = controller.problem
     needed, length = steps + problem.horizon - 1, problem.profiles.length
     if length is not None and length < needed:
         raise ModelError(
             f"{steps} steps with a horizon of {problem.horizon} need time series of {needed} values; "
-            f"the shortest has {length}"
+            f"the shortest has {length}; give longer series, or less horizon or steps"
         )
     run = Run(problem, problem.objective if objective is None else objective)
     state = initial
@@ -321,6 +328,15 @@ def simulate(
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
     return run
+
+
+def check_answer(forecast: Forecast | None, plant: Plant) -> None:
+    """Raise :class:`ModelError` if plans for demand that does not come would be taken for what happens."""
+    if isinstance(plant, NominalPlant) and not (forecast is None or isinstance(forecast, Perfect)):
+        raise ModelError(
+            f"forecast {type(forecast).__name__} with the nominal plant: the balance would not hold; "
+            "an imperfect forecast needs a plant that answers: power-flow or redispatch"
+        )
 
 
 def _record(plan: Plan, attempts: list[Attempt], seconds: float) -> dict[str, Any]:
