@@ -15,6 +15,7 @@ __all__ = [
     "OpfmodelError",
     "PluginError",
     "ProfileError",
+    "ProfileWarning",
     "QuantityError",
     "ResultError",
     "ScenarioError",
@@ -57,7 +58,22 @@ class CaseWarning(UserWarning):
 
 
 class ProfileError(OpfmodelError):
-    """A time series is too short, names nothing in the network, or is not a number."""
+    """A time series is too short, names nothing in the network, or is not a number.
+
+    Attributes
+    ----------
+    series, step
+        ``component.field`` and the step at fault, if it is one value that breaks a rule.
+    """
+
+    def __init__(self, message: str, series: str | None = None, step: int | None = None) -> None:
+        super().__init__(message)
+        self.series = series
+        self.step = step
+
+
+class ProfileWarning(UserWarning):
+    """A profile rule that changes nothing."""
 
 
 class ModelError(OpfmodelError):

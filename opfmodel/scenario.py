@@ -527,7 +527,10 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
             plugins.make("profile", name, options).apply(book)
     with _located(document, ("profiles",)):
         made = Profiles.of(book.series)
-        made.check(network, per_unit(network))
+        try:
+            made.check(network, per_unit(network))
+        except ProfileError as error:
+            raise ProfileError(f"{book.source(error)}{error}") from error
         return made
 
 

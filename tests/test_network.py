@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import opfmodel as om
-from opfmodel.errors import ComponentError, NetworkError
+from opfmodel.errors import ComponentError, NetworkError, ProfileError
 from opfmodel.network import per_unit
 from opfmodel.physics import branch_admittance, branch_flow, polar_products
 
@@ -107,3 +107,32 @@ def test_branch_flows_agree_with_complex_circuit_theory(r, x, tap, shift, vf, vt
     s_from = behind * (through + behind * shunt_from).conj()
     s_to = v_to * (-through + v_to * shunt_to).conj()
     assert_allclose(flows, [s_from.real, s_from.imag, s_to.real, s_to.imag], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("series", "message"),
+    [
+        ({"wind.p_max": [3, -40]}, "'wind.p_max': step 1: -40: must be at least p_min = 0"),
+        ({"wind.p_min": [3, 40]}, "'wind.p_min': step 1: 40: must be at most p_max = 30"),
+        (
+            {"wind.p_max": [9, 9], "wind.p_min": [0, 10, 99]},
+            "'wind.p_max': step 1: 9: must be at least p_min = 10",
+        ),
+        ({"cell.energy_min": [0, 300]}, "'cell.energy_min': step 1: 300: must be at most energy = 200"),
+        ({"cell.energy": [-1]}, "'cell.energy': step 0: -1: must be at least 0"),
+        ({"cell.power_min": [11]}, "'cell.power_min': step 0: 11: must be at most power_max = 10"),
+        ({"tie.rating": [5, -5]}, "'tie.rating': step 1: -5: must be at least 0"),
+        ({"coal.ramp": [-5]}, "'coal.ramp': step 0: -5: must be at least 0"),
+        ({"coal.c2": [-5]}, "'coal.c2': step 0: -5: must be at least 0, for costs are convex"),
+    ],
+)
+def test_series_keep_the_rules_of_their_fields(
+    grid: om.Network, series: dict[str, list[float]], message: str
+) -> None:
+    grid.wind = om.Generator("south", p=(0, 30))
+    with pytest.raises(ProfileError, match=message):
+        om.MultiStage(grid, profiles=series)
+
+
+def test_bounds_that_move_together_do_not_cross(grid: om.Network) -> None:
+    om.MultiStage(grid, profiles={"coal.p_min": [250.0, 10], "coal.p_max": [300.0, 10]})

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.documents import read_document
-from opfmodel.errors import OpfmodelError, ScenarioError
+from opfmodel.errors import OpfmodelError, ProfileWarning, ScenarioError
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
 MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
@@ -131,6 +131,13 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,g.cost\n0,1\n0,1\n0,1\n", "a generator has no number 'cost'"),
         ("hour,g.bus\n0,1\n0,1\n0,1\n", "a generator has no number 'bus'"),
         ("", "the file is empty"),
+        ("hour,l.p,l.p\n0,1,2\n0,1,2\n0,1,2\n", "line 1: two columns are headed 'l.p'"),
+        ("hour,load\n0,1\n0,1\n0,1\n", "no column is headed 'component.field'.* columns are: hour, load"),
+        ("hour,l.p\n0,1\n0,1,5\n0,1\n", "line 3: 3 cells under 2 headings"),
+        (
+            "#\nhour,g.p_max\n0,1\n0,1\n0,-4\n",
+            r"demand.csv: line 5, column 'g.p_max': .* step 2: -4: must be at least p_min = 0",
+        ),
     ):
         (tmp_path / "demand.csv").write_text(wrong)
         with pytest.raises(ScenarioError, match=message):
@@ -174,6 +181,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("10% of p_max, cost: {c2: 0.0010", "10% of q, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* no number 'q'; it has q_min and q_max"),
         ("10% of p_max, cost: {c2: 0.0010", "10% of bus, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* a generator has no number 'bus'"),
         ("base_mva: 100", "file: a.m\n  default_cost: dear", ":11:3: network.default_cost: 'dear': must be a number"),
+        ("factor: 1.06", "factor: -1", ":39:5: profiles.0.scale: scale: factor = -1.0: must be at least 0"),
         ("factor: 1.06", "factor: .nan", ":38:1: profiles: profile 'load2.p': step 0 is not a number"),
         ("step: 1.0", "step: 0", ":36:8: time.step: 0: input should be greater than 0"),
         ("time: {", "time: !!python/object:os.system {", ":36:1: the tag .* is not accepted"),
@@ -188,6 +196,15 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
         om.load_scenario(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
+    text = (
+        MINIMAL
+        + "  loads: {l: {bus: a, p: 5}}\nprofiles: [{step: {loads: [l], first: 4, last: 5, add: 1}}]\n"
+    )
+    with pytest.warns(ProfileWarning, match="first = 4: the series have 1 values"):
+        om.load_scenario(write(tmp_path, text))
 
 
 @pytest.mark.parametrize(

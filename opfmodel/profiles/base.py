@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,6 +34,8 @@ class Workbook:
         Where relative file names start from.
     series
         Series by ``"component.field"``, in physical units.
+    sources
+        The file that a series is from and the line of each value, for messages.
     """
 
     network: Network
@@ -40,6 +43,7 @@ class Workbook:
     step: float
     folder: Path
     series: dict[str, Array] = field(default_factory=dict)
+    sources: dict[str, tuple[Path, Sequence[int]]] = field(default_factory=dict)
 
     def get(self, component: str, key: str) -> Array:
         """The series of a field so far; a constant one if no rule has touched it."""
@@ -53,6 +57,14 @@ class Workbook:
     def set(self, component: str, key: str, values: Array) -> None:
         """Replace the series of a field."""
         self.series[f"{component}.{key}"] = np.asarray(values, dtype=float)
+        self.sources.pop(f"{component}.{key}", None)
+
+    def source(self, error: ProfileError) -> str:
+        """Where in a file the value is that an error is about; empty if it is from none."""
+        if error.series not in self.sources or error.step is None:
+            return ""
+        path, lines = self.sources[error.series]
+        return f"{path}: line {lines[error.step]}, column {error.series!r}: "
 
     def loads(self, names: list[str] | None) -> list[str]:
         """Names of loads: the given ones, checked, or all."""

@@ -38,6 +38,10 @@ def read_columns(path: Path, steps: int | None, headings: list[str] | None = Non
     if steps is not None and len(rows) < steps:
         raise ProfileError(f"{path}: {len(rows)} rows; {steps} are needed")
     wanted = [heading for heading in found if "." in heading] if headings is None else headings
+    if not wanted:
+        raise ProfileError(
+            f"{path}: no column is headed 'component.field', such as 'town.p'; columns are: {', '.join(found)}"
+        )
     missing = [heading for heading in wanted if heading not in found]
     if missing:
         raise ProfileError(f"{path}: no column {missing[0]!r}; columns are: {', '.join(found)}")
@@ -50,7 +54,7 @@ def read_rows(path: Path) -> tuple[list[str], list[Row]]:
     Raises
     ------
     ProfileError
-        The file cannot be read.
+        The file cannot be read, two columns have one heading, or a row has more cells than headings.
     """
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -58,7 +62,17 @@ def read_rows(path: Path) -> tuple[list[str], list[Row]]:
             lines = [(reader.line_num, line) for line in reader if line and not line[0].startswith("#")]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ProfileError(f"{path}: cannot be read: {error}") from error
-    return [heading.strip() for heading in lines[0][1]] if lines else [], lines[1:]
+    headings = [heading.strip() for heading in lines[0][1]] if lines else []
+    for place, heading in enumerate(headings):
+        if heading and heading in headings[:place]:
+            raise ProfileError(f"{path}: line {lines[0][0]}: two columns are headed {heading!r}")
+    for number, row in lines[1:]:
+        if any(cell.strip() for cell in row[len(headings) :]):
+            raise ProfileError(
+                f"{path}: line {number}: {len(row)} cells under {len(headings)} headings; a number is "
+                "written with a point, and a row has one per column"
+            )
+    return headings, lines[1:]
 
 
 def numbers(path: Path, heading: str, column: int, rows: Sequence[Row]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from opfmodel.errors import ProfileError
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Scale"]
@@ -13,12 +14,14 @@ class Scale(ProfileRule):
     Parameters
     ----------
     factor
-        The factor.
+        The factor, at least 0.
     loads
         Names of loads; all by default.
     """
 
     def __init__(self, factor: float, loads: list[str] | None = None) -> None:
+        if factor < 0:
+            raise ProfileError(f"scale: factor = {factor!r}: must be at least 0")
         self.factor = factor
         self.loads = loads
 

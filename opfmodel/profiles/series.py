@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Network, PiecewiseLinear
+from opfmodel.components import Component, Network, PiecewiseLinear
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.network import PerUnitNetwork
+from opfmodel.profiles.base import constant
 from opfmodel.units import scale
 
 __all__ = ["Profiles"]
@@ -81,7 +82,10 @@ class Profiles:
         }
 
     def check(self, network: Network, arrays: PerUnitNetwork) -> None:
-        """Raise :class:`ProfileError` if a series names no component, or no field that may change."""
+        """Raise :class:`ProfileError` if a series names no component or field that may change, or breaks a rule.
+
+        The rules are those of the fields: bounds do not cross, a rating is at least 0.
+        """
         for name, key in self.series:
             if name not in network:
                 raise ProfileError(f"profile '{name}.{key}': no such component; {nearest(name, network)}")
@@ -102,6 +106,36 @@ class Profiles:
                     f"profile '{name}.{key}': the {key} of a {kind} is the same in all steps; "
                     "it cannot have a time series"
                 )
+            self._check_values(network, name, key)
+
+    def _check_values(self, network: Network, name: str, key: str) -> None:
+        """Hold one series to the rules of its field."""
+        component, values = network[name], self.series[name, key]
+
+        def refuse(broken: npt.NDArray[np.bool_], rule: str, other: Array | None = None) -> None:
+            if broken.any():
+                step = int(np.argmax(broken))
+                more = "" if other is None else f" {other[step]:g}"
+                raise ProfileError(
+                    f"profile '{name}.{key}': step {step}: {values[step]:g}: must be {rule}{more}",
+                    f"{name}.{key}",
+                    step,
+                )
+
+        item = component.fields().get(key)
+        if item is not None and item.metadata["form"] == "number":
+            rules = item.metadata
+            refuse(values < rules["at_least"], f"at least {rules['at_least']:g}")
+            refuse(values <= rules["above"], f"greater than {rules['above']:g}")
+            refuse(values > rules["at_most"], f"at most {rules['at_most']:g}")
+        if key == "c2":
+            refuse(values < 0, "at least 0, for costs are convex")
+        for other, below in _other_ends(component, key):
+            steps = min(len(values), len(self.series.get((name, other), values)))
+            constants = np.full(steps, constant(component, other))
+            ends = self.series.get((name, other), constants)[:steps]
+            crossed = values[:steps] > ends if below else values[:steps] < ends
+            refuse(crossed, f"at {'most' if below else 'least'} {other} =", ends)
 
     def widest(self, network: PerUnitNetwork) -> dict[tuple[str, str], Array]:
         """Limits that contain those of every step, per unit ``(items,)`` by ``(kind, field)``.
@@ -163,6 +197,18 @@ class Profiles:
             if name in table.position:
                 return kind, table.position[name]
         raise ProfileError(f"no component {name!r} in service")
+
+
+def _other_ends(component: Component, key: str) -> Iterator[tuple[str, bool]]:
+    """The fields that bound a field from the other side, and whether they are to be above it."""
+    known = component.fields()
+    stem, _, end = key.rpartition("_")
+    if end in ("min", "max") and stem in known and known[stem].metadata["form"] == "span":
+        yield (f"{stem}_max", True) if end == "min" else (f"{stem}_min", False)
+    elif end == "min" and stem in known:
+        yield stem, True
+    elif f"{key}_min" in known:
+        yield f"{key}_min", False
 
 
 def _vector(key: str, values: Any) -> Array:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
-from opfmodel.errors import ProfileError
+from opfmodel.errors import ProfileError, ProfileWarning
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Step"]
@@ -12,6 +14,8 @@ __all__ = ["Step"]
 
 class Step(ProfileRule):
     """Change demand from one step to another, inclusive, at constant power factor.
+
+    A step that begins after the last value changes nothing and is a warning: a scenario can be shortened.
 
     Parameters
     ----------
@@ -45,6 +49,12 @@ class Step(ProfileRule):
 
     def apply(self, book: Workbook) -> None:
         """Change the demand in the steps from ``first`` to ``last``."""
+        if self.first >= book.steps:
+            warnings.warn(
+                f"step: first = {self.first}: the series have {book.steps} values; nothing changes",
+                ProfileWarning,
+                stacklevel=2,
+            )
         for load in book.loads(self.loads):
             p, q = book.get(load, "p").copy(), book.get(load, "q").copy()
             window = slice(self.first, self.last + 1)

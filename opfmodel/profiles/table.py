@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from opfmodel.errors import ProfileError
 from opfmodel.profiles.base import ProfileRule, Workbook, constant
-from opfmodel.profiles.columns import read_columns
+from opfmodel.profiles.columns import read_columns, read_rows
 
 __all__ = ["Table"]
 
@@ -27,9 +27,11 @@ class Table(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Replace the series of the fields that the file has."""
         path = book.folder / self.file
+        lines = [number for number, _ in read_rows(path)[1]]
         for heading, values in read_columns(path, book.steps).items():
             component, _, key = heading.rpartition(".")
             if component not in book.network:
                 raise ProfileError(f"{path}: column {heading!r}: the network has no component {component!r}")
             constant(book.network[component], key)
             book.set(component, key, values)
+            book.sources[heading] = path, lines

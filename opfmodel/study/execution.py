@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from opfmodel.errors import CaseWarning, OpfmodelError, StudyError
+from opfmodel.errors import CaseWarning, OpfmodelError, ProfileWarning, StudyError
 from opfmodel.study.provenance import machine, versions
 from opfmodel.study.specification import Specification
 from solvers import SolverError
@@ -101,7 +101,8 @@ def _figures(specification: Specification) -> dict[str, Any]:
     _same_versions(specification)
     inputs = specification.inputs
     with inputs.unpacked() as (copy, path), warnings.catch_warnings():
-        warnings.simplefilter("ignore", CaseWarning)  # said when the study was read
+        for said in (CaseWarning, ProfileWarning):  # when the study was read
+            warnings.simplefilter("ignore", said)
         try:
             scenario = load_scenario(path, specification.variant, specification.overrides)
             run = scenario.simulate()
