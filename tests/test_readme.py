@@ -23,7 +23,9 @@ def test_python_of_a_page_runs(page: Path, capsys: pytest.CaptureFixture[str]) -
     for block in blocks(page, "python"):
         exec(compile(block, str(page), "exec"), namespace)
     if page.name == "README.md":
-        assert "locally_optimal" in capsys.readouterr().out
+        printed = capsys.readouterr().out
+        assert "locally_optimal" in printed
+        assert "24 steps, done" in printed
         assert len(blocks(page, "python")[0].strip().splitlines()) <= 15
 
 
