@@ -266,6 +266,15 @@ class Component:
     plural: ClassVar[str]
     in_service: bool
 
+    def __new__(cls, *_: Any, **values: Any) -> Self:
+        """Refuse a field that there is not, with the nearest that there is."""
+        for key in values:
+            if key not in cls.fields():
+                raise ComponentError(
+                    cls.__name__, key, values[key], f"unknown field; {nearest(key, cls.fields())}"
+                )
+        return super().__new__(cls)
+
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks its rule. Subclasses add rules of their own."""
         for item in self.fields().values():

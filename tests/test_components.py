@@ -50,6 +50,11 @@ def test_fields_can_be_updated(grid: om.Network) -> None:
         grid.update("coal", ramp=-1)
 
 
+def test_a_misspelt_field_is_said_with_the_nearest() -> None:
+    with pytest.raises(ComponentError, match=r"Generator: rmap = 3: unknown field; did you mean 'ramp'\?"):
+        om.Generator("a", p=(0, 1), rmap=3)  # type: ignore[call-arg]
+
+
 def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
     with pytest.raises(NetworkError, match="the name 'coal' is taken by a generator"):
         grid.coal = om.Bus()

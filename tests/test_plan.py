@@ -263,6 +263,13 @@ def test_an_infeasible_problem_is_a_status() -> None:
     assert "infeasible" in plan.termination
 
 
+def test_a_plan_without_solution_shows_no_cost(grid: om.Network) -> None:
+    grid.update("town", p=900)
+    text = repr(om.MultiStage(grid).solve())
+    assert "infeasible" in text
+    assert "$" not in text
+
+
 def test_islands_are_solved_together() -> None:
     grid = two_bus()
     grid.far = om.Bus()

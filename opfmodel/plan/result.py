@@ -47,7 +47,8 @@ class Plan:
         self._network = network
 
     def __repr__(self) -> str:
-        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}, {self.objective:.6g} $)"
+        cost = f", {self.objective:.6g} $" if self.optimal else ""
+        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}{cost})"
 
     @property
     def status(self) -> str:
