@@ -263,7 +263,7 @@ def table(
 
 @app.command()
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
-    """Check a scenario, study or network file without solving anything."""
+    """Check a scenario with its variants, a study or a network file without solving anything."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
     from opfmodel.network import per_unit
@@ -273,6 +273,11 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
     if _is_scenario(file):
         loaded = _scenario(file, variant, set_)
         network = loaded.network
+        for name in loaded.settings.variants if variant is None else ():
+            try:
+                _scenario(file, name, set_)
+            except OpfmodelError as error:
+                raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
         network = read_network(file, default_cost=Polynomial())
     arrays = per_unit(network)

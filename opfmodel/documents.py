@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -13,7 +13,7 @@ from ruamel.yaml.scalarbool import ScalarBoolean
 
 from opfmodel.errors import ScenarioError, nearest
 
-__all__ = ["Document", "read_document", "validated"]
+__all__ = ["Document", "check_name", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -47,6 +47,19 @@ class Document:
         line, column = self.positions.get(known, (1, 1))
         name = ".".join(str(part) for part in key)
         return ScenarioError(f"{self.path}:{line}:{column}: {name + ': ' if name else ''}{message}")
+
+    def over(self, key: Key) -> Document:
+        """The document with the positions of the mapping at ``key`` for the same keys at the root."""
+        laid = {where[len(key) :]: at for where, at in self.positions.items() if where[: len(key)] == key}
+        return replace(self, positions={**self.positions, **{k: at for k, at in laid.items() if k}})
+
+
+def check_name(document: Document, key: Key, name: str) -> None:
+    """Raise :class:`ScenarioError` for a name that cannot be that of a folder of results."""
+    if not name.strip(". ") or set(name) & set("/\\\0"):
+        raise document.error(
+            key, f"{name!r}: is the name of a folder of results: it cannot be empty, dots, or hold / or \\"
+        )
 
 
 def read_document(path: str | Path) -> Document:
@@ -129,6 +142,11 @@ def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> st
         return "this key is missing"
     value = fault.get("input")
     shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
+    if fault["type"] in ("model_type", "dict_type"):
+        keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
+        return f"{shown}must be a mapping" + (f" with keys of {', '.join(keys)}" if keys else "")
+    if fault["type"] == "value_error":
+        return f"{shown}{fault['ctx']['error']}"
     return f"{shown}{fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 

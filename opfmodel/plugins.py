@@ -158,7 +158,7 @@ def make(
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
             checked[key] = adapter.validate_python(value if converter is None else converter(value))
         except ValidationError as error:
-            reason = error.errors()[0]["msg"]
+            reason = error.errors()[0]["msg"].removeprefix("Value error, ")
             raise PluginError(f"{sort} {name!r}: {key} = {value!r}: {reason}", key) from None
     missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
     if missing:

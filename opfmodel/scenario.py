@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial
 from opfmodel.constraints import Limited
-from opfmodel.documents import Document, read_document, validated
+from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
     CaseError,
     ComponentError,
@@ -271,7 +271,13 @@ def load_scenario(
     """
     document = read_document(path)
     content = laid_over(document, variant, overrides)
+    if variant is not None:
+        document = document.over(("variants", variant))
     settings = validated(document, content, _File)
+    if settings.name is not None:
+        check_name(document, ("name",), settings.name)
+    for each in settings.variants:
+        check_name(document, ("variants", each), each)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
         network = declarations.network(settings.name or document.path.stem)
@@ -323,6 +329,8 @@ def laid_over(
     """
     if not isinstance(document.content, dict):
         raise document.error((), "a scenario is a mapping with the key 'network' and others")
+    if "vary" in document.content:
+        raise document.error(("vary",), "this is a study; 'opfmodel study run' runs it")
     content = deepcopy(document.content)
     if variant is not None:
         variants = content.get("variants") or {}

@@ -140,6 +140,15 @@ def test_validate(call: Call, tmp_path: Path) -> None:
     assert err.startswith("error: ")
 
 
+def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(WEAK + "variants:\n  fine: {}\n  bad: {controller: {horizon: 0}}\n")
+    code, _, err = call("validate", path)
+    assert code == 2
+    assert err.startswith(f"error: variant 'bad': {path}:12:22: controller.horizon: 0: ")
+    assert call("validate", path, "--variant", "fine")[0] == 0
+
+
 def test_list(call: Call) -> None:
     code, out, _ = call("list", "--json")
     entries = json.loads(out)["plugins"]

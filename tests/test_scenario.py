@@ -113,6 +113,12 @@ def test_overrides_and_variants(tmp_path: Path) -> None:
         om.load_scenario(path, "lon")
 
 
+def test_a_mistake_in_a_variant_has_its_place(tmp_path: Path) -> None:
+    path = write(tmp_path, MINIMAL + "variants:\n  long: {controller: {horizn: 9}}\n")
+    with pytest.raises(ScenarioError, match=r":5:23: controller.horizn: unknown key"):
+        om.load_scenario(path, "long")
+
+
 def test_series_from_a_table(tmp_path: Path) -> None:
     (tmp_path / "demand.csv").write_text("# source\nhour,l.p,g.p_max\n0,1,9\n1,2,8\n2,3,7\n")
     text = (
@@ -212,7 +218,17 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
     [
         ("", "a scenario is a mapping"),
         ("- 1\n- 2\n", "a scenario is a mapping"),
-        ("network: 3\n", "network: 3: input should be a valid dictionary"),
+        ("network: 3\n", "network: 3: must be a mapping"),
+        (
+            MINIMAL + "controller: {end: cyclic}\n",
+            r"controller.end: 'cyclic': must be a mapping with keys of cyclic, minimum",
+        ),
+        (MINIMAL + "time: 3\n", "time: 3: must be a mapping with keys of step, steps"),
+        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping with keys of mode, "),
+        (MINIMAL + "name: ../x\n", r":4:1: name: '../x': .* or hold / or"),
+        (MINIMAL + "name: ..\n", ":4:1: name: '..': .* it cannot be empty"),
+        (MINIMAL + "variants: {a/b: {}}\n", ":4:12: variants.a/b: 'a/b': .* or hold / or"),
+        ("scenario: a.yaml\nvary: {}\n", ":2:1: vary: this is a study; 'opfmodel study run' runs it"),
         ("network: {}\n", "has no bus in service"),
         ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),
         ("network: {buses: {a: 3}}\n", "must be a mapping from fields to values"),

@@ -388,9 +388,18 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
     assert results(out) == results(folder / "undisturbed")
 
 
-@pytest.mark.parametrize("options", [{"workers": -1}, {"workers": 2, "scheduler": "tcp://127.0.0.1:1"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"workers": -1},
+        {"workers": 2, "scheduler": "tcp://127.0.0.1:1"},
+        {"workers": 0, "memory": "much"},
+        {"workers": 0, "memory": "0"},
+        {"scheduler": "nonsense"},
+    ],
+)
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any], folder: Path) -> None:
-    with pytest.raises(StudyError, match="workers"):
+    with pytest.raises(StudyError, match="workers|memory = |scheduler = "):
         run_study(read_study(folder / "study.yaml"), folder / "out", **options)
 
 

@@ -40,7 +40,8 @@ def read_columns(path: Path, steps: int | None, headings: list[str] | None = Non
     wanted = [heading for heading in found if "." in heading] if headings is None else headings
     if not wanted:
         raise ProfileError(
-            f"{path}: no column is headed 'component.field', such as 'town.p'; columns are: {', '.join(found)}"
+            f"{path}: no column is headed 'component.field', such as 'town.p'; "
+            f"columns are: {', '.join(found)}"
         )
     missing = [heading for heading in wanted if heading not in found]
     if missing:

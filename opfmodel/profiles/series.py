@@ -82,7 +82,7 @@ class Profiles:
         }
 
     def check(self, network: Network, arrays: PerUnitNetwork) -> None:
-        """Raise :class:`ProfileError` if a series names no component or field that may change, or breaks a rule.
+        """Raise :class:`ProfileError` if a series is of nothing that may change, or breaks a rule.
 
         The rules are those of the fields: bounds do not cross, a rating is at least 0.
         """

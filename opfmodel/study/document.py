@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from opfmodel.documents import Document, read_document, validated
+from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import ModelError, ScenarioError
 from opfmodel.scenario import load_scenario
 
@@ -131,7 +131,11 @@ def read_study(path: str | Path) -> Study:
     document = read_document(path)
     if not isinstance(document.content, dict):
         raise document.error((), "a study is a mapping with the keys 'scenario' and 'vary'")
+    if "network" in document.content:
+        raise document.error(("network",), "this is a scenario; 'opfmodel run' runs it")
     file = validated(document, document.content, _File)
+    if file.name is not None:
+        check_name(document, ("name",), file.name)
     for key in ("scenario", "variant"):
         if key in file.set:
             raise document.error(("set", key), "is a key of the study itself; write it outside 'set'")

@@ -18,7 +18,7 @@ from opfmodel.study.progress import Watcher, described, live
 from opfmodel.study.provenance import machine, revision, versions
 from opfmodel.study.specification import Snapshot, Specification
 from opfmodel.study.store import Store
-from opfmodel.study.workers import in_this_process, on_cluster, on_local_cluster
+from opfmodel.study.workers import check_crew, in_this_process, on_cluster, on_local_cluster
 
 __all__ = ["Outcome", "run_study"]
 
@@ -104,7 +104,7 @@ def run_study(
     Raises
     ------
     StudyError
-        The folder is in use, or the scheduler does not answer.
+        The folder is in use, the scheduler does not answer, or an option is not what it must be.
     ResultError
         The folder cannot be written; what is in it is kept.
     """
@@ -112,6 +112,7 @@ def run_study(
         raise StudyError("workers and memory are for this machine; a running scheduler has its own")
     if workers is not None and workers < 0:
         raise StudyError(f"workers = {workers}: must be 0 (no processes besides this one) or more")
+    check_crew(scheduler, memory)
     began = time.perf_counter()
     store = Store(Path(folder))
     with store.locked():

@@ -7,6 +7,7 @@ written by the process that holds the study's folder.
 from __future__ import annotations
 
 import logging
+import re
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -23,8 +24,9 @@ from solvers.threads import THREAD_VARIABLES
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["in_this_process", "on_cluster", "on_local_cluster"]
+__all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster"]
 
+_ADDRESS = re.compile(r"(\w+://)?([^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]):[0-9]{1,5}(/\S*)?")
 _DEATHS = 3  # of workers over one run, before it is given up
 _PATIENCE = 30.0  # seconds to wait for a scheduler, and for a first worker
 _GLANCE = 0.5  # seconds between two looks at what the workers do
@@ -41,6 +43,21 @@ _CONFIGURATION = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
 }
+
+
+def check_crew(scheduler: str | None, memory: str | None) -> None:
+    """Raise :class:`StudyError` for options that no crew could be had with, also where none is needed."""
+    if memory is not None:
+        from dask.utils import parse_bytes
+
+        try:
+            enough = parse_bytes(memory) > 0
+        except ValueError:
+            enough = False
+        if not enough:
+            raise StudyError(f"memory = {memory!r}: must be an amount such as 2GiB or 600MB")
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise StudyError(f"scheduler = {scheduler!r}: must be an address such as tcp://10.0.0.1:8786")
 
 
 def in_this_process(specifications: Sequence[Specification], watcher: Watcher) -> Generator[Record]:
