@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import asdict, dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -22,6 +23,8 @@ class Entry:
     ----------
     summary
         First line of its documentation, or why it could not be loaded.
+    options
+        What it takes, each with its default if it has one: ``loads=null``.
     broken
         Whether it could not be loaded.
     """
@@ -31,6 +34,7 @@ class Entry:
     origin: str
     summary: str
     broken: bool = False
+    options: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The entry as plain data."""
@@ -43,10 +47,11 @@ def catalogue() -> list[Entry]:
     for sort in plugins.GROUPS:
         for plugin in plugins.plugins(sort).values():
             try:
-                summary, broken = _first_line(plugin.load()), False
+                loaded = plugin.load()
+                entry = Entry(sort, plugin.name, plugin.origin, _first_line(loaded), options=_options(loaded))
             except PluginError as error:
-                summary, broken = f"BROKEN: {error}", True
-            entries.append(Entry(sort, plugin.name, plugin.origin, summary, broken))
+                entry = Entry(sort, plugin.name, plugin.origin, f"BROKEN: {error}", True)
+            entries.append(entry)
         for plugin, winner in plugins.hidden(sort):
             summary = f"BROKEN: out of reach behind the {sort} of the same name of {winner.origin}"
             entries.append(Entry(sort, plugin.name, plugin.origin, summary, True))
@@ -63,4 +68,30 @@ def catalogue() -> list[Entry]:
 
 
 def _first_line(cls: type) -> str:
-    return (inspect.getdoc(cls) or "no documentation").splitlines()[0]
+    """What a class is, in plain words: the first line of its documentation without its mark-up."""
+    line = (inspect.getdoc(cls) or "no documentation").splitlines()[0]
+    line = re.sub(r":(\w+):`([^`]*)`", lambda match: _formula(match[2]), line)
+    return line.replace("``", "")
+
+
+def _formula(text: str) -> str:
+    """A formula or reference as plain text: ``\\tan(\\lambda)`` is tan(lambda)."""
+    return text.removeprefix("~").replace("\\", "")
+
+
+def _options(cls: type) -> tuple[str, ...]:
+    """The keyword arguments of a constructor with their defaults."""
+    return tuple(
+        p.name if p.default is p.empty else f"{p.name}={_shown(p.default)}"
+        for p in inspect.signature(cls).parameters.values()
+        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
+    )
+
+
+def _shown(default: Any) -> str:
+    """A default as a scenario file would have it."""
+    if isinstance(default, tuple | list):
+        return f"[{', '.join(_shown(value) for value in default)}]"
+    if default is None or isinstance(default, bool):
+        return {None: "null", True: "true", False: "false"}[default]
+    return f"{default:g}" if isinstance(default, float) else str(default)

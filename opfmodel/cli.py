@@ -310,7 +310,7 @@ def plot_(
 
 @app.command("list")
 def list_(json_: JSON = False) -> int:
-    """List objectives, formulations, devices, profiles, forecasts and back ends, with their origin."""
+    """List objectives, formulations, devices, profiles, forecasts and back ends: origins and options."""
     from opfmodel.catalogue import catalogue
 
     entries = catalogue()
@@ -320,9 +320,12 @@ def list_(json_: JSON = False) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("sort", "name", "origin", "what it is", box=None, pad_edge=False)
+    from rich.text import Text
+
+    table = Table("sort", "name", "origin", "what it is and its options", box=None, pad_edge=False)
     for entry in entries:
-        table.add_row(entry.sort, entry.name, entry.origin, entry.summary)
+        options = f"\n  {', '.join(entry.options)}" if entry.options else ""
+        table.add_row(entry.sort, entry.name, entry.origin, Text(entry.summary + options))
     Console().print(table)
     return 0
 

@@ -268,11 +268,9 @@ class Component:
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse a field that there is not, with the nearest that there is."""
-        for key in values:
+        for key, value in values.items():
             if key not in cls.fields():
-                raise ComponentError(
-                    cls.__name__, key, values[key], f"unknown field; {nearest(key, cls.fields())}"
-                )
+                raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, cls.fields())}")
         return super().__new__(cls)
 
     def check(self, name: str) -> None:

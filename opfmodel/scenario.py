@@ -66,7 +66,7 @@ _PLANTS: dict[str, Callable[..., Plant]] = {
     "redispatch": Redispatch,
 }
 
-Spec = str | dict[str, Any] | list[dict[str, Any]]
+Spec = str | dict[str, Any] | list[str | dict[str, Any]]
 
 
 class _Section(BaseModel):
@@ -591,8 +591,8 @@ def _objective(
             return made
     parts: list[tuple[float, Objective]] = []
     for number, part in enumerate(spec):
-        rest = {k: v for k, v in part.items() if k != "weight"}
-        weight = part.get("weight", 1.0)
+        rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
+        weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
         if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
             raise document.error((*key, number, "weight"), f"{weight!r}: must be a number, at least 0")
         parts.append((float(weight), _objective(document, (*key, number), rest, convert)))

@@ -155,7 +155,14 @@ def test_list(call: Call) -> None:
     assert code == 0
     assert ("formulation", "ac", "opfmodel") in {(e["sort"], e["name"], e["origin"]) for e in entries}
     assert all(e["summary"] for e in entries)
-    assert "economic" in call("list")[1]
+    assert not [e for e in entries if ":math:" in e["summary"] or "`" in e["summary"]]
+    options = {(e["sort"], e["name"]): e["options"] for e in entries}
+    assert options["forecast", "noisy"] == ["deviation", "seed", "correlation=0.9", "fields=[p, q, p_max]"]
+    assert options["profile", "scale"] == ["factor", "loads=null"]
+    assert options["formulation", "ac"] == []
+    shown = call("list")[1]
+    assert "economic" in shown
+    assert "factor, loads=null" in shown
 
 
 @pytest.mark.parametrize(

@@ -399,7 +399,7 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
     ],
 )
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any], folder: Path) -> None:
-    with pytest.raises(StudyError, match="workers|memory = |scheduler = "):
+    with pytest.raises(StudyError, match=r"workers|memory = |scheduler = "):
         run_study(read_study(folder / "study.yaml"), folder / "out", **options)
 
 
