@@ -75,7 +75,7 @@ def _first_line(cls: type) -> str:
 
 
 def _formula(text: str) -> str:
-    """A formula or reference as plain text: ``\\tan(\\lambda)`` is tan(lambda)."""
+    r"""A formula or reference as plain text: ``\tan(\lambda)`` is tan(lambda)."""
     return text.removeprefix("~").replace("\\", "")
 
 

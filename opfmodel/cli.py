@@ -319,7 +319,6 @@ def list_(json_: JSON = False) -> int:
         return 0
     from rich.console import Console
     from rich.table import Table
-
     from rich.text import Text
 
     table = Table("sort", "name", "origin", "what it is and its options", box=None, pad_edge=False)

@@ -367,6 +367,8 @@ class Bus(Component):
     ----------
     vm
         ``(min, max)`` of the voltage magnitude, p.u.
+    base_kv
+        Nominal voltage, kV; kept for network files.
     reference
         Whether its angle is the zero of its island.
     """

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+from dataclasses import MISSING, Field
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import ROOT, SCENARIOS
 
 import opfmodel as om
+from opfmodel.components import BUILT_IN, Component
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
@@ -31,11 +35,66 @@ def test_python_of_a_page_runs(page: Path, capsys: pytest.CaptureFixture[str]) -
 
 def test_the_example_of_the_scenario_page_is_a_scenario(tmp_path: Path) -> None:
     (tmp_path / "my-case.m").write_text((ROOT / "tests/data/matpower/case5.m").read_text())
-    (block,) = blocks(ROOT / "docs" / "scenarios.md", "yaml")
+    block, _ = blocks(ROOT / "docs" / "scenarios.md", "yaml")
     (tmp_path / "s.yaml").write_text(block)
     scenario = om.load_scenario(tmp_path / "s.yaml")
     assert scenario.network["cella"].energy == 20
     assert scenario.network["gen1"].ramp == pytest.approx(4)
+
+
+def test_the_full_scenario_of_the_page_and_its_variants_run(tmp_path: Path) -> None:
+    _, block = blocks(ROOT / "docs" / "scenarios.md", "yaml")
+    (tmp_path / "s.yaml").write_text(block)
+    for variant in (None, *om.load_scenario(tmp_path / "s.yaml").settings.variants):
+        run = om.load_scenario(tmp_path / "s.yaml", variant, {"time.steps": 2}).simulate()
+        assert run.status == "done", variant
+
+
+def fields_of_components() -> str:
+    """The table of the scenario page, from the classes."""
+    lines = ["| field | unit | default | series | meaning |", "| --- | --- | --- | --- | --- |"]
+    for kind in BUILT_IN:
+        meanings = meanings_of(kind)
+        lines.append(f"| **`{kind.plural}`** | | | | |")
+        for name, item in kind.fields().items():
+            rules = item.metadata
+            series = {
+                "number": f"`{name}`",
+                "span": f"`{name}_min`, `{name}_max`",
+                "cost": "`c2`, `c1`, `c0`",
+            }.get(rules["form"] if rules.get("series", True) else "", "")
+            unit = {"bus": "name", "flag": "", "cost": "$/h"}.get(rules["form"], rules["unit"])
+            lines.append(f"| `{name}` | {unit} | {default_of(item)} | {series} | {meanings[name]} |")
+    return "\n".join(lines) + "\n"
+
+
+def meanings_of(kind: type[Component]) -> dict[str, str]:
+    """What the documentation of a class says about each of its parameters, in one line."""
+    text = inspect.getdoc(kind) or ""
+    parameters = text.partition("Parameters\n----------\n")[2]
+    found = {"in_service": "false leaves it out"}
+    for names, meaning in re.findall(r"^(\w[\w, ]*)\n((?:    .*\n?)+)", parameters, flags=re.MULTILINE):
+        plain = " ".join(meaning.split()).replace("``", "`").replace("None", "none")
+        plain = plain if plain.endswith("p.u.") else plain.removesuffix(".")
+        plain = re.sub(r":class:`(\w+)`", r"\1", plain)
+        found |= dict.fromkeys(names.split(", "), plain)
+    return found
+
+
+def default_of(item: Field[Any]) -> str:
+    if item.default is MISSING:
+        return "required"
+    if isinstance(item.default, om.Polynomial):
+        return "`{c2: 0, c1: 0, c0: 0}`"
+    if isinstance(item.default, tuple):
+        return f"`[{', '.join(f'{end:g}'.replace('inf', '.inf') for end in item.default)}]`"
+    if isinstance(item.default, bool) or item.default is None:
+        return {True: "true", False: "false", None: "none"}[item.default]
+    return f"{item.default:g}"
+
+
+def test_the_scenario_page_has_the_fields_of_the_components() -> None:
+    assert fields_of_components() in (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel.documents import read_document
 from opfmodel.errors import OpfmodelError, ProfileWarning, ScenarioError
+from opfmodel.objectives.base import WeightedSum
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
 MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
@@ -111,6 +112,13 @@ def test_overrides_and_variants(tmp_path: Path) -> None:
     assert om.load_scenario(path, overrides={"controller.horizon": 5}).settings.controller.horizon == 5
     with pytest.raises(ScenarioError, match=r"variants: no variant 'lon'; did you mean 'long'\?"):
         om.load_scenario(path, "lon")
+
+
+def test_objectives_in_a_list_may_be_plain_names(tmp_path: Path) -> None:
+    text = MINIMAL + "cost: [economic, {voltage-deviation: {}, weight: 2}]\n"
+    made = om.load_scenario(write(tmp_path, text)).cost
+    assert isinstance(made, WeightedSum)
+    assert [weight for weight, _ in made.parts] == [1, 2]
 
 
 def test_a_mistake_in_a_variant_has_its_place(tmp_path: Path) -> None:
