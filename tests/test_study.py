@@ -155,6 +155,13 @@ def test_a_study_is_a_mapping(text: str, tmp_path: Path) -> None:
         read_study(tmp_path / "study.yaml")
 
 
+def test_a_scenario_is_no_study_and_says_so(folder: Path) -> None:
+    with pytest.raises(
+        ScenarioError, match=r"tiny.yaml:\d+:1: network: this is a scenario; 'opfmodel run' runs it"
+    ):
+        read_study(folder / "tiny.yaml")
+
+
 def test_files_are_named_relative_to_the_scenario(folder: Path) -> None:
     text = TINY.replace("file: demand.csv", f"file: {folder / 'demand.csv'}")
     (folder / "tiny.yaml").write_text(text)
