@@ -14,14 +14,14 @@ __all__ = ["certified"]
 # Relative to the numbers of the program. First-order methods stop at 1e-6 of their own scaled
 # residuals, which are up to a hundred times larger in the program's.
 _CONVERGED = 1e-4
-_ACCEPTABLE = 1e-2
+_ACCEPTABLE = 1e-3
 
 
 def certified(solution: Solution) -> Solution:
     """The solution of a convex program with the status that its own residuals support.
 
     The largest of primal residual, dual residual and gap decides, each relative to the size of
-    what it is the error of: below 1e-4 the point is an optimum, below 1e-2 an acceptable one, and
+    what it is the error of: below 1e-4 the point is an optimum, below 1e-3 an acceptable one, and
     otherwise it is none, whatever the solver says.
     """
     error = _relative_error(solution)
