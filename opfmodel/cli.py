@@ -345,7 +345,10 @@ def study_run(
     json_: JSON = False,
 ) -> int:
     """Make the runs of a study that its folder does not have yet."""
+    from opfmodel.errors import ProfileWarning
     from opfmodel.study import read_study, run_study
+
+    warnings.simplefilter("ignore", ProfileWarning)  # a study may shorten its scenarios: "validate" says it
 
     loaded = read_study(study)
     with _solver_output(False):

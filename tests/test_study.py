@@ -700,8 +700,11 @@ def test_a_scheduler_that_goes_away_is_said_and_finished_runs_are_kept(
 @pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("opfmodel.study.workers._PATIENCE", 1.0)
-    for address in ("tcp://127.0.0.1:9", "nonsense"):
-        with pytest.raises(StudyError, match=f"no scheduler answers at '{address}'"):
+    for address, said in (
+        ("tcp://127.0.0.1:9", "no scheduler answers at 'tcp://127.0.0.1:9'"),
+        ("nonsense", "scheduler = 'nonsense': must be an address such as tcp://"),
+    ):
+        with pytest.raises(StudyError, match=said):
             run_study(read_study(folder / "study.yaml"), folder / "out", scheduler=address)
 
 
