@@ -215,8 +215,7 @@ def run(
     }
     if done.steps:
         data = done.data
-        series = {f"{name}.{key}": values for (name, key), values in loaded.profiles.series.items()}
-        report = check(loaded.network, data, series)
+        report = check(loaded.network, data, loaded.profiles.named)
         exceeded = _exceeded(report)
         summary |= {"max_violation": report.max_violation, "unchecked": list(report.unchecked)}
         results.save(data, summary, folder)
@@ -436,8 +435,7 @@ def _check_on_infeasible(value: str | None) -> None:
 def _verify(problem: MultiStage, plan: Plan) -> Report:
     from opfmodel.check import check
 
-    series = {f"{name}.{key}": values for (name, key), values in problem.profiles.series.items()}
-    return check(problem.network, plan.data, series)
+    return check(problem.network, plan.data, problem.profiles.named)
 
 
 def _is_scenario(file: Path) -> bool:

@@ -17,6 +17,7 @@ MW, MVAr, MVA, MWh, hours, degrees, $; impedances and voltages are in per unit o
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache
@@ -42,6 +43,7 @@ __all__ = [
     "Storage",
     "at_bus",
     "flag",
+    "name_pattern",
     "number",
     "span",
 ]
@@ -706,3 +708,8 @@ class Network:
             n = len(self.of(kind))
             counts.append(f"{n} {kind.kind if n == 1 else kind.plural}")
         return f"Network({self.name!r}: {', '.join(counts) or 'empty'})"
+
+
+def name_pattern(name: str) -> re.Pattern[str]:
+    """The names that a name with stars stands for: ``gas*`` is every name that begins with ``gas``."""
+    return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))

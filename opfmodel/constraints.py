@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.components import name_pattern
 from opfmodel.errors import ConstraintError, ProfileError, nearest
 from opfmodel.model import Stage
 from opfmodel.network import Index
@@ -169,7 +169,7 @@ def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str
     tables = stage.network.tables
     if owner in tables and not any(owner in table.position for table in tables.values()):
         return [(owner, np.arange(len(tables[owner])))]
-    pattern = re.compile("".join(".*" if c == "*" else re.escape(c) for c in owner))
+    pattern = name_pattern(owner)
     members = {
         kind: np.array([i for i, name in enumerate(table.names) if pattern.fullmatch(name)], dtype=np.intp)
         for kind, table in tables.items()

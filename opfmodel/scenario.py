@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
-from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial
+from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
 from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
@@ -406,7 +406,7 @@ class _Declarations:
         except ComponentError as error:
             for section in (*self.kinds, "update"):
                 for name, _ in self._members(section):
-                    if _pattern(name).fullmatch(error.component):
+                    if name_pattern(name).fullmatch(error.component):
                         key = ("network", section, name, error.field)
                         raise self.document.error(key, f"{error.value!r}: {error.rule}") from error
             raise
@@ -455,7 +455,7 @@ class _Declarations:
 
     def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
         """Change fields of one component, or of all whose names match a pattern."""
-        matching = [n for n in network if _pattern(name).fullmatch(n)]
+        matching = [n for n in network if name_pattern(name).fullmatch(n)]
         if not matching:
             raise self.document.error(
                 ("network", "update", name), f"no component of that name; {nearest(name, network)}"
@@ -493,11 +493,6 @@ class _Declarations:
                 except ProfileError as error:
                     raise ComponentError(name, key, value, str(error)) from error
         return resolved
-
-
-def _pattern(name: str) -> re.Pattern[str]:
-    """The names that a name with stars stands for."""
-    return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))
 
 
 _SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")

@@ -60,6 +60,11 @@ class Profiles:
         return cls(made)
 
     @property
+    def named(self) -> dict[str, Array]:
+        """The series by ``"component.field"``, as :meth:`of` and :func:`opfmodel.check.check` take them."""
+        return {f"{name}.{key}": values for (name, key), values in self.series.items()}
+
+    @property
     def length(self) -> int | None:
         """Number of time steps that every series covers; None if there are no series."""
         return min((len(v) for v in self.series.values()), default=None)
