@@ -1,0 +1,1 @@
+"""Data from outside: the files they are read from."""
