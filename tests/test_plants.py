@@ -279,20 +279,48 @@ def test_voltages_of_a_plan_are_held_where_there_are_generators() -> None:
     assert float(np.abs(run.data["vm"].sel(bus="d") - plan.data["vm"].sel(bus="d"))[0]) > 1e-5
 
 
+def test_limits_with_time_series_are_measured_not_enforced() -> None:
+    series = {
+        "tie.rating": [200.0, 40.0, 200.0, 40.0],
+        "south.vm_min": [1.02, 1.02, 0.9, 0.9],
+        "south.vm_max": [1.03, 1.03, 1.1, 1.1],
+        "town.p": [90.0] * 4,
+    }
+    grid = two_bus()
+    run = om.simulate(om.MultiStage(grid, 1, formulation="copperplate", profiles=series), om.PowerFlow(), 4)
+    assert run.status == "done"
+    free = om.simulate(
+        om.MultiStage(grid, 1, formulation="copperplate", profiles={"town.p": [90.0] * 4}), om.PowerFlow(), 4
+    )
+    for name in ("vm", "pf", "pg"):
+        assert run.data[name].values == pytest.approx(free.data[name].values, abs=1e-6)
+    apparent = np.hypot(run.data["pf"], run.data["qf"]).values[:, 0]
+    assert apparent.min() > 60
+    assert run.data["flow_excess"].values[[1, 3], 0] == pytest.approx(apparent[[1, 3]] - 40, abs=1.0)
+    assert run.data["flow_excess"].values[[0, 2], 0] == pytest.approx(0)
+    south = run.data["vm"].sel(bus="south").values
+    assert run.data["vm_excess"].sel(bus="south").values[:2] == pytest.approx(1.02 - south[:2])
+    assert run.data["vm_excess"].sel(bus="south").values[2:] == pytest.approx(0)
+
+
 def test_a_power_flow_without_solution_is_recorded_and_the_loop_goes_on() -> None:
     grid = two_bus()
     grid.update("coal", p=(0, 9000), ramp=None)
     grid.update("tie", rating=None)
     problem = om.MultiStage(grid, 2, formulation="dc", profiles={"town.p": [90, 3000, 90, 90]})
     run = om.simulate(problem, om.PowerFlow(), 3)
-    assert run.status == "done"
+    assert run.status == "unsolved"
+    assert run.termination.startswith("the plant found no state in 1 of 3 steps, first in step 1: locally")
     assert [word == "locally_optimal" for word in run.data["plant_status"].values] == [True, False, True]
     assert np.isnan(run.data["vm"].values[1]).all()
     assert np.isnan(run.data["flow_excess"].values[1]).all()
     assert np.isfinite(run.data["vm"].values[[0, 2]]).all()
-    assert np.isfinite(run.cost)
+    assert np.isfinite(run.cost_rate).tolist() == [True, False, True]
+    assert np.isnan(run.cost)
+    assert "no cost" in repr(run)
     summary = run.summary()
     assert summary["unsolved_steps"] == 1
+    assert summary["cost"] is None
     json.dumps(summary, allow_nan=False)
 
 
@@ -303,7 +331,7 @@ def test_an_island_without_generators_must_balance_by_itself(reactive: float, un
     grid.hut = om.Load("away", p=5.0, q=reactive)
     grid.battery = om.Storage("away", energy=100, power=10)
     run = om.simulate(om.MultiStage(grid, formulation="dc"), om.PowerFlow(), 1)
-    assert run.status == "done"
+    assert run.status == ("unsolved" if unsolved else "done")
     assert run.summary()["unsolved_steps"] == unsolved
 
 

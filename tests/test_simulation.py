@@ -101,6 +101,22 @@ def test_a_failure_ends_the_run_and_keeps_what_was_done() -> None:
     assert run.summary()["steps"] == 3
 
 
+def test_a_running_loop_shows_what_has_happened_so_far() -> None:
+    seen: list[tuple[str, float, int]] = []
+
+    def look(run: Run) -> None:
+        seen.append((run.status, run.cost, run.data.sizes["time"]))
+        assert run.data["pg"].sizes["time"] == len(run.steps)
+        repr(run), run.summary()
+
+    run = om.simulate(problem(4), steps=4, on_step=look)
+    assert [size for _, _, size in seen] == [1, 2, 3, 4]
+    assert {status for status, _, _ in seen} == {"running"}
+    assert [cost for _, cost, _ in seen] == pytest.approx(np.cumsum(run.data["cost_rate"].values))
+    assert run.status == "done"
+    assert run.cost == pytest.approx(om.simulate(problem(4), steps=4).cost, rel=1e-9)
+
+
 def test_an_interrupt_keeps_what_was_done(monkeypatch: pytest.MonkeyPatch) -> None:
     def press(run: Run) -> None:
         if len(run.steps) == 2:

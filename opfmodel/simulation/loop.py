@@ -146,7 +146,8 @@ class Run:
     Attributes
     ----------
     status
-        ``done``; or the status of the plan that failed, or ``stopped``; finished steps are kept.
+        ``running``; then ``done``, the status of the plan that failed, ``unsolved`` where the plant
+        found no state in some step, or ``stopped``. Finished steps are kept in any case.
     termination
         Why it ended.
     interrupted
@@ -157,17 +158,29 @@ class Run:
     objective: Objective
     plans: list[dict[str, Any]] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
-    status: str = "done"
-    termination: str = "all steps done"
+    status: str = "running"
+    termination: str = "the loop has not ended"
     interrupted: bool = False
     build_seconds: float = 0.0
+    _finished: xr.Dataset | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        return (
-            f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {self.cost:.6g} $)"
-        )
+        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} $"
+        return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
 
-    @cached_property
+    def finish(self) -> None:
+        """Settle the status of a loop that went through all its steps."""
+        unsolved = [number for number, step in enumerate(self.steps) if not step.solved]
+        if unsolved:
+            first = unsolved[0]
+            self.status = "unsolved"
+            self.termination = (
+                f"the plant found no state in {len(unsolved)} of {len(self.steps)} steps, "
+                f"first in step {first}: {self.steps[first].status}"
+            )
+        else:
+            self.status, self.termination = "done", "all steps done"
+
     def _stage(self) -> NumericStage:
         """The realised quantities as numbers in per unit."""
         network = self.problem.window(0, len(self.steps))
@@ -181,25 +194,35 @@ class Run:
 
     @property
     def cost_rate(self) -> Array:
-        """Stage cost of the realised trajectory, $/h."""
-        if not self.steps:
-            return np.zeros(0)
-        cost = self.objective.stage_cost(self._stage)
-        return np.zeros(len(self.steps)) if cost is None else np.asarray(cost, dtype=float)
+        """Stage cost of the realised trajectory, $/h; NaN in steps for which the plant found no state."""
+        return self._cost_rate(self._stage()) if self.steps else np.zeros(0)
+
+    def _cost_rate(self, stage: NumericStage) -> Array:
+        cost = self.objective.stage_cost(stage)
+        rate = np.zeros(len(self.steps)) if cost is None else np.asarray(cost, dtype=float)
+        return np.where([step.solved for step in self.steps], rate, np.nan)
 
     @property
     def cost(self) -> float:
-        """Realised cost over all steps, $."""
+        """Realised cost over all steps, $; NaN unless the plant found a state in each."""
         return float(self.cost_rate.sum()) * self.problem.step
 
-    @cached_property
+    @property
     def data(self) -> xr.Dataset:
-        """Realised trajectories in physical units and the effort of each step."""
-        stage = self._stage
+        """Realised trajectories in physical units and the effort of each step; so far, in a running loop."""
+        if self.status == "running":  # it grows: nothing may be kept
+            return self._dataset()
+        if self._finished is None:
+            self._finished = self._dataset()
+        return self._finished
+
+    def _dataset(self) -> xr.Dataset:
+        stage = self._stage()
+        rate = self._cost_rate(stage)
         described = {name: text for step in self.steps for name, text in step.described.items()}
         quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
         made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
-        made["cost_rate"] = ("time", self.cost_rate, {"units": "$/h", "long_name": "stage cost"})
+        made["cost_rate"] = ("time", rate, {"units": "$/h", "long_name": "stage cost"})
         for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
             values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
             made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
@@ -217,18 +240,18 @@ class Run:
             "status": self.status,
             "termination": self.termination,
             "step_hours": self.problem.step,
-            "cost": self.cost,
+            "cost": float(rate.sum()) * self.problem.step,
         }
         return made
 
     def summary(self) -> dict[str, Any]:
-        """The run in a few numbers; None for a cost without steps and for iterations nobody counted."""
+        """The run in a few numbers; None for a cost that is not known and for iterations nobody counted."""
         seconds = [plan["solve_seconds"] for plan in self.plans]
         iterations = [plan["iterations"] for plan in self.plans if plan["iterations"] is not None]
         return {
             "status": self.status,
             "termination": self.termination,
-            "cost": self.cost if self.steps else None,
+            "cost": None if not self.steps or np.isnan(self.cost) else self.cost,
             "steps": len(self.steps),
             "build_seconds": self.build_seconds,
             "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
@@ -324,6 +347,8 @@ def simulate(
                 advance()
                 if on_step is not None:
                     on_step(run)
+            else:
+                run.finish()
         except KeyboardInterrupt:
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"

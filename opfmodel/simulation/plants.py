@@ -16,6 +16,7 @@ from opfmodel.model import Device, Model, Stage
 from opfmodel.network import PerUnitNetwork, Table
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, MultiStage, Plan
+from opfmodel.profiles.series import Profiles
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
 
@@ -229,8 +230,14 @@ class PowerFlow(_ACPlant):
         devices = [own.get(device.component, device) for device in problem.devices]
         others = [key for key in _set_points(plan) if key not in _ALWAYS]
         self._set_points = _SetPoints(dict.fromkeys((*_ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0))
-        made = _one_stage(problem, self._set_points, devices)
-        made.arrays = made.arrays.with_series(_without_limits(made.arrays))
+        free = _without_limits(problem.arrays)
+        kept = {
+            key: values
+            for key, values in problem.profiles.series.items()
+            if (problem.network[key[0]].kind, key[1]) not in free
+        }
+        made = _one_stage(problem, self._set_points, devices, profiles=Profiles(kept))
+        made.arrays = made.arrays.with_series(free)
         return made
 
     def _find(self, plan: Plan, planned: Values, network: PerUnitNetwork) -> Plan:
@@ -345,11 +352,10 @@ def _one_stage(
         problem.network,
         step=problem.step,
         objective=objective,
-        profiles=problem.profiles,
         devices=devices,
         solver="ipopt",
         options=_PRECISE,
-        **options,
+        **{"profiles": problem.profiles, **options},
     )
 
 
