@@ -144,7 +144,7 @@ def solve(
         diagnosis = []
         if not plan.optimal and on_infeasible == "elastic":
             diagnosis = [str(s) for s in problem.elastic_twin().solve(initial=initial).shortages]
-    report = _verify(problem, plan)
+    report = _verify(problem, plan) if plan.optimal else None
     result = {
         "status": plan.status,
         "termination": plan.termination,
@@ -152,8 +152,8 @@ def solve(
         "build_seconds": problem.build_seconds,
         "solve_seconds": plan.solution.seconds,
         "iterations": plan.solution.iterations,
-        "max_violation": report.max_violation,
-        "unchecked": list(report.unchecked),
+        "max_violation": None if report is None else report.max_violation,
+        "unchecked": [] if report is None else list(report.unchecked),
         "formulation": problem.formulation.name,
         "solver": plan.solution.solver,
         "variables": plan.solution.program.n_variables,
@@ -165,8 +165,6 @@ def solve(
         _print_json(result)
     else:
         _print_notes(problem.notes)
-        worst = report.worst
-        place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
         _print_pairs(
             {
                 "status": plan.status if plan.optimal else f"{plan.status}: {plan.termination}",
@@ -175,8 +173,7 @@ def solve(
                 "size": f"{result['variables']:,} variables, {result['rows']:,} rows",
                 "solver": f"{plan.solution.solver}, {_count(plan.solution.iterations, 'iterations')}",
                 "time": f"{problem.build_seconds:.3f} s build, {plan.solution.seconds:.3f} s solve",
-                "max violation": f"{report.max_violation:.1e} p.u.{place}",
-                **_unchecked(report.unchecked),
+                **({} if report is None else _verified(report)),
             }
         )
         _print_diagnosis(diagnosis)
@@ -556,6 +553,13 @@ def _count(iterations: float | None, what: str) -> str:
     return f"no {what} told" if iterations is None else f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
 
 
+def _verified(report: Report) -> dict[str, str]:
+    """The lines of what the independent check found in a plan."""
+    worst = report.worst
+    place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
+    return {"max violation": f"{report.max_violation:.1e} p.u.{place}", **_unchecked(report.unchecked)}
+
+
 def _unchecked(what: Iterable[str]) -> dict[str, str]:
     """The line that says what the independent check could not verify, if there is anything."""
     said = "; ".join(what)
@@ -572,13 +576,13 @@ def _exceeded(report: Report) -> dict[str, str]:
 
 def _print_run(summary: Mapping[str, Any], folder: Path, exceeded: Mapping[str, str]) -> None:
     done = summary["status"] == "done"
-    violation = summary["max_violation"]
+    violation, cost = summary["max_violation"], summary["cost"]
     mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
     _print_pairs(
         {
             "scenario": summary["scenario"],
             "status": "done" if done else f"{summary['status']}: {summary['termination']}",
-            "cost": f"{summary['cost']:,.2f} $ in {summary['steps']} steps" if summary["steps"] else "none",
+            "cost": "none" if cost is None else f"{cost:,.2f} $ in {summary['steps']} steps",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
             "iterations": _count(summary["iterations_mean"], "mean"),
             "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",

@@ -365,10 +365,10 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
 def test_what_is_not_finite_is_null_in_json(call: Call, tmp_path: Path) -> None:
     (tmp_path / "weak.yaml").write_text(WEAK)
     code, out, _ = call("run", tmp_path / "weak.yaml", "--out", tmp_path, "--json", "--no-figures")
-    assert code == 0
+    assert code == 1  # the plant found no state
     for text in (out, (tmp_path / "summary.json").read_text()):
         summary = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-        assert summary["unsolved_steps"] == 1
+        assert (summary["status"], summary["unsolved_steps"]) == ("unsolved", 1)
         assert summary["cost"] is None
 
 

@@ -14,7 +14,7 @@ from opfmodel.errors import ComponentError, ModelError, PluginError, ProfileErro
 WAVE = {"town.p": [60, 90, 110, 110, 70, 60, 80, 100], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
 
 
-def problem(horizon: int = 6, ramp: float | None = 20, **keywords) -> om.MultiStage:
+def problem(horizon: int = 6, ramp: float | None = 25, **keywords) -> om.MultiStage:
     grid = two_bus()
     grid.update("coal", ramp=ramp)
     return om.MultiStage(grid, horizon, profiles=WAVE, **keywords)
@@ -54,19 +54,19 @@ def test_a_horizon_of_one_is_no_special_case() -> None:
 def test_without_delay_the_first_stage_is_ramp_limited_from_the_last_dispatch() -> None:
     made = problem()
     free = made.solve().data["pg"].values[0, 0]
-    limited = made.solve(initial={"pg": [free + 35.0]}).data["pg"].values[:, 0]
-    assert limited[0] == pytest.approx(free + 15.0, abs=1e-4)
-    assert np.abs(np.diff(limited)).max() <= 20 + 1e-5
+    limited = made.solve(initial={"pg": [free + 30.0]}).data["pg"].values[:, 0]
+    assert limited[0] == pytest.approx(free + 5.0, abs=1e-4)
+    assert np.abs(np.diff(limited)).max() <= 25 + 1e-5
 
 
 def test_with_delay_the_first_dispatch_is_given_and_storage_acts() -> None:
     made = problem(generator_delay=1)
     start = made.solve().data
-    pg, qg = start["pg"].values[0] - 4.0, start["qg"].values[0]
+    pg, qg = start["pg"].values[0] + 4.0, start["qg"].values[0]
     plan = made.solve(initial={"pg": pg, "qg": qg})
     assert_allclose(plan.data["pg"].values[0], pg, atol=1e-9)
     assert_allclose(plan.data["qg"].values[0], qg, atol=1e-9)
-    assert plan.data["ps"].values[0, 0] == pytest.approx(start["ps"].values[0, 0] - 4.0, abs=0.3)
+    assert plan.data["ps"].values[0, 0] == pytest.approx(start["ps"].values[0, 0] + 4.0, abs=0.3)
     assert_allclose(plan.next_state()["pg"], plan.data["pg"].values[1], rtol=1e-12)
 
 
@@ -231,14 +231,13 @@ def test_charging_and_discharging_at_once_is_detected_and_can_be_forbidden() -> 
 
 def test_a_constraint_of_ones_own() -> None:
     made = problem()
-    made.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 115)
-    made.constrain("import", lambda s: s.branch.pf[[0]] <= 84.0)
+    made.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) <= 142)
+    made.constrain("export", lambda s: s.branch.pf[[0]] >= 60.0)
+    free = problem().solve().data
+    assert free["pg"].values.min() < 57  # so that each constraint would matter by itself
     data = made.solve().data
-    assert data["pg"].values.max() == pytest.approx(85, abs=0.3) or data["pf"].values.max() == pytest.approx(
-        84, 1e-5
-    )
-    assert data["pf"].values.max() <= 84 + 1e-4
-    assert data["pg"].values.max() <= 85 + 1e-4
+    assert data["pf"].values.min() == pytest.approx(60, abs=1e-3)  # the tighter of the two
+    assert data["pg"].values.min() >= 58 - 1e-4
     with pytest.raises(ModelError, match="compiled already"):
         made.constrain("late", lambda s: s.generator.pg >= 0)
     wrong = problem()
@@ -261,6 +260,26 @@ def test_an_infeasible_problem_is_a_status() -> None:
     assert plan.status == "locally_infeasible"
     assert not plan.optimal
     assert "infeasible" in plan.termination
+
+
+@pytest.mark.parametrize(
+    ("formulation", "options"), [("ac", {}), ("dc", {}), ("soc", {}), ("ac", {"max_iter": 1})]
+)
+def test_there_is_no_value_without_an_optimum(formulation: str, options: dict) -> None:
+    grid = two_bus()
+    grid.update("town", p=90 if options else 500)
+    solver = "ipopt" if options else "auto"
+    plan = om.MultiStage(grid, 2, formulation=formulation, solver=solver, options=options).solve()
+    assert not plan.optimal
+    assert np.isnan(plan.objective)
+    assert plan.shortages == ()
+    known = {"pd", "qd"}
+    for name, values in plan.data.items():
+        assert np.isfinite(values).all() if name in known else np.isnan(values).all(), name
+    assert np.isnan(plan.data.attrs["cost"])
+    with pytest.raises(ModelError, match=f"is {plan.status}: it leads to no state"):
+        plan.next_state()
+    assert np.isfinite(plan.solution.x).all()
 
 
 def test_a_plan_without_solution_shows_no_cost(grid: om.Network) -> None:

@@ -29,6 +29,9 @@ Array = npt.NDArray[np.float64]
 class Plan:
     """The result of one solve: trajectories in physical units, status and effort.
 
+    Where the solver found no optimum there are no values: the objective, the quantities and the prices are
+    NaN. The point at which it stopped is ``solution.x``.
+
     Attributes
     ----------
     solution
@@ -67,7 +70,9 @@ class Plan:
 
     @cached_property
     def objective(self) -> float:
-        """Value of the objective in $ over the horizon, without regularisation."""
+        """Value of the objective in $ over the horizon, without regularisation; NaN without an optimum."""
+        if not self.optimal:
+            return np.nan
         stage = self.stage
         cost = self.problem.objective.stage_cost(stage)
         value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
@@ -89,7 +94,11 @@ class Plan:
         for injection in self._model.injections:
             power = injection.at_buses(self.solution, self._network)
             values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
-        return values
+        return self._held(values)
+
+    def _held(self, values: dict[tuple[str, str], Array]) -> dict[tuple[str, str], Array]:
+        """The values if the plan is an optimum; NaN in their place if it is not."""
+        return values if self.optimal else {key: np.full_like(value, np.nan) for key, value in values.items()}
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
@@ -106,7 +115,7 @@ class Plan:
     def shortages(self) -> tuple[Shortage, ...]:
         """What an elastic problem lacks, the dearest first; nothing where every limit is hard."""
         prices = self.problem.elastic
-        if prices is None:
+        if prices is None or not self.optimal:
             return ()
         slacks, step = self._model.slacks.values(), self.problem.step
         return shortages(slacks, self.solution.value, self._network, prices, step, self.times)
@@ -119,7 +128,14 @@ class Plan:
         happened
             Per-unit values ``(items,)`` by ``(kind, name)`` of the first stage, if it was not what was
             planned. A dispatch that is committed one stage ahead stays as planned.
+
+        Raises
+        ------
+        ModelError
+            The plan is no optimum.
         """
+        if not self.optimal:
+            raise ModelError(f"the plan from step {self.time} is {self.status}: it leads to no state")
         out = {}
         committed = self.problem.generator_delay == 1
         for state in self._model.states.values():
@@ -182,7 +198,9 @@ class Plan:
 
     def prices(self) -> dict[tuple[str, str], Array]:
         """All shadow prices by ``(kind, name)``; see :meth:`price`."""
-        return {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
+        return self._held(
+            {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
+        )
 
     @cached_property
     def relaxation(self) -> dict[str, float]:
