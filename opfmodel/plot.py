@@ -23,7 +23,7 @@ _MOST_LINES = 7
 
 
 def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - as the others
-    """Sums over the system: demand and generation, storage power and losses, energy, cost."""
+    """Sums over the system: demand and generation, storage power and losses of branches, energy, cost."""
     stored = "e" in data
     figure, axes = _figure(2 + stored + ("cost_rate" in data))
     panels = iter(axes)
@@ -34,7 +34,12 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     power.set_ylabel("power [MW]")
     if stored:
         _steps(rest, data, charging, label="storage (charging > 0)", color=_COLOURS[1], linestyle="--")
-    _steps(rest, data, generation - drawn - charging, label="losses", color=_COLOURS[4])
+    if {"pf", "pt"} <= set(data):
+        losses = _total(data, "pf") + _total(data, "pt")
+        _steps(rest, data, losses, label="losses of branches", color=_COLOURS[4])
+    for number, name in enumerate(_injections(data)):
+        label = name.removesuffix("_p")
+        _steps(rest, data, _total(data, name), label=f"{label} (feed-in > 0)", color=_COLOURS[5 - number % 2])
     rest.set_ylabel("power [MW]")
     if stored:
         axis = next(panels)
@@ -165,6 +170,11 @@ def _total(data: xr.Dataset, quantity: str) -> Any:
         return np.zeros(data.sizes["time"])
     array = data[quantity]
     return array.sum([d for d in array.dims if d != "time"]).values
+
+
+def _injections(data: xr.Dataset) -> list[str]:
+    """What devices of other packages feed into the buses: ``<kind>_p``."""
+    return [str(n) for n in data if str(n).endswith("_p") and data[n].dims == ("time", "bus")]
 
 
 def _at_bus(data: xr.Dataset, quantity: str, kind: str, bus: str) -> Any:
