@@ -20,6 +20,7 @@ from opfmodel.errors import OpfmodelError
 if TYPE_CHECKING:
     from opfmodel.check import Report
     from opfmodel.comparison import Comparison
+    from opfmodel.elastic import Elastic
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
     from opfmodel.study import Outcome
@@ -139,11 +140,13 @@ def solve(
     """Solve one problem: of a network file its optimal power flow, of a scenario the first plan."""
     _check_on_infeasible(on_infeasible)
     with _solver_output(verbose):
-        problem, initial = _problem(file, formulation, solver, horizon, default_cost, variant, set_, verbose)
+        problem, initial, prices = _problem(
+            file, formulation, solver, horizon, default_cost, variant, set_, verbose
+        )
         plan = problem.solve(initial=initial)
         diagnosis = []
         if not plan.optimal and on_infeasible == "elastic":
-            diagnosis = [str(s) for s in problem.elastic_twin().solve(initial=initial).shortages]
+            diagnosis = [str(s) for s in problem.elastic_twin(prices).solve(initial=initial).shortages]
     report = _verify(problem, plan) if plan.optimal else None
     result = {
         "status": plan.status,
@@ -400,8 +403,8 @@ def _problem(
     variant: str | None,
     overrides: list[str] | None,
     verbose: bool,
-) -> tuple[MultiStage, Mapping[str, Any] | None]:
-    """The problem of a file and the state that it starts from."""
+) -> tuple[MultiStage, Mapping[str, Any] | None, Elastic | None]:
+    """The problem of a file, the state that it starts from, and prices at which its limits give way."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
     from opfmodel.plan import MultiStage
@@ -410,7 +413,7 @@ def _problem(
         chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
         changes = {f"controller.{key}": value for key, value in chosen.items() if value is not None}
         scenario = _scenario(file, variant, overrides, changes)
-        return scenario.problem(verbose), scenario.initial()
+        return scenario.problem(verbose), scenario.initial(), scenario.elastic
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
     cost = None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
@@ -421,7 +424,7 @@ def _problem(
         solver=solver or "auto",
         verbose=verbose,
     )
-    return problem, None
+    return problem, None, None
 
 
 def _check_on_infeasible(value: str | None) -> None:

@@ -14,6 +14,7 @@ from opfmodel.units import scale
 
 if TYPE_CHECKING:
     from opfmodel.network import PerUnitNetwork, Table
+    from solvers import Solution
 
 __all__ = ["Elastic", "Shortage", "Slack", "Soft", "shortages"]
 
@@ -28,6 +29,9 @@ _TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
 @dataclass(frozen=True)
 class Elastic:
     """Prices at which the limits of a problem give way, so that it always has a solution.
+
+    The prices weigh one shortage against another. However high costs are, no shortage is accepted to
+    save them: of all plans with the least priced shortage the cheapest is taken.
 
     A price of 1 p.u. of anything (power, voltage, angle in radians, energy) for one hour is the
     price below times ``base_mva``, so that 0.01 p.u. of voltage costs as much as 1 MW on 100 MVA.
@@ -102,6 +106,9 @@ class Slack:
         Name of the variable block.
     bound
         Gives the limit itself, p.u., ``(items, 1)`` or ``(items, stages)``; only for limits on squares.
+    counts
+        Gives, from the solution with the least shortage, which values are a shortage of their own, and
+        do not merely follow from another; all by default.
     """
 
     block: str
@@ -109,6 +116,7 @@ class Slack:
     soft: Soft
     phrase: str
     bound: Callable[[Table], Array] | None = None
+    counts: Callable[[Solution, PerUnitNetwork], npt.NDArray[np.bool_]] | None = None
 
     def amount(self, values: Array, network: PerUnitNetwork) -> Array:
         """What the limit is exceeded by, p.u., from the values of the variable."""
@@ -118,9 +126,11 @@ class Slack:
         bound = self.bound(network.tables[self.kind])
         return np.asarray(sign * (np.sqrt(np.maximum(bound**2 + sign * values, 0.0)) - bound))
 
-    def parts(self, values: Array, network: PerUnitNetwork) -> list[tuple[str, Array]]:
+    def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[str, Array]]:
         """What to say of positive and of negative values, and how large they are, p.u."""
         amounts = self.amount(values, network)
+        if self.counts is not None:
+            amounts = np.where(self.counts(least, network), amounts, 0.0)
         other = self.soft.above if self.phrase == self.soft.below else self.soft.below
         return [(self.phrase, np.maximum(amounts, 0.0)), (other, np.maximum(-amounts, 0.0))]
 
@@ -187,7 +197,8 @@ class Shortage:
 
 def shortages(
     slacks: Iterable[Slack],
-    value: Callable[[str], Array],
+    solution: Solution,
+    least: Solution,
     network: PerUnitNetwork,
     prices: Elastic,
     step: float,
@@ -197,15 +208,17 @@ def shortages(
 
     Parameters
     ----------
-    value
-        Gives the values of a slack's block, ``(items, stages)`` in p.u.
+    solution
+        What happens.
+    least
+        The solution with the least shortage, whose prices say what a shortage is caused by.
     hours
         Hour at which each stage begins.
     """
     amounts: dict[tuple[str, str, str, str, str], Array] = {}
     untimed = set()
     for slack in slacks:
-        for phrase, part in slack.parts(value(slack.block), network):
+        for phrase, part in slack.parts(solution.value(slack.block), network, least):
             table = network.tables.get(slack.kind)
             size = int(slack.soft.members.max(initial=-1)) + 1 if table is None else len(table)
             own = slack.block.rpartition("_")[0].removeprefix(f"{slack.kind} ")

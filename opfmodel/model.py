@@ -236,6 +236,8 @@ class Model:
     ----------
     slacks
         By how much limits are exceeded, by name of the variable; empty unless elastic.
+    penalties
+        What they cost, $, item by item and stage by stage.
     """
 
     def __init__(
@@ -252,6 +254,7 @@ class Model:
         self.network = network
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
+        self.penalties: list[Expression] = []
         self.stages = stages
         self.step = step
         self.reactive = reactive
@@ -518,9 +521,14 @@ class Model:
         price: float | Array = self.penalty(soft)
         if slack.bound is not None:  # d(x^2) = 2 x dx
             price = price / (2.0 * np.maximum(slack.bound(self.network.tables[slack.kind]), _LEAST_BOUND))
-        self.build.minimize(price * values)
+        self.penalise(price * values)
         self.slacks[slack.block] = slack
         return values
+
+    def penalise(self, cost: Expression) -> None:
+        """Let a shortage cost something, in $; it is a part of no objective."""
+        self.penalties.append(cost)
+        self.build.minimize(cost)
 
     def penalty(self, soft: Soft) -> float:
         """Price in $ of one internal unit of a soft limit over a stage."""
@@ -541,7 +549,9 @@ class Model:
         """How the balance of buses gives way; without a network the first bus stands for its zone."""
         _, first = np.unique(self.zones, return_index=True)
         noun = "bus" if len(first) == len(self.network.bus) else "island of bus"
-        return Soft(first[self.zones[bus]], unit, "lacks {}", "has {} too much", price, noun=noun)
+        sort = " of reactive power" if unit == "MVAr" else ""
+        phrases = f"lacks {{}}{sort}", f"has {{}}{sort} too much"
+        return Soft(first[self.zones[bus]], unit, *phrases, price, noun=noun)
 
     def inject(self, bus: Index, p: Expression | None = None, q: Expression | None = None) -> None:
         """Add power to the balance of buses, one entry of ``bus`` per row of ``p`` and ``q``.

@@ -22,6 +22,7 @@ from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
 from opfmodel.documents import Document, check_name, read_document, validated
+from opfmodel.elastic import Elastic
 from opfmodel.errors import (
     CaseError,
     ComponentError,
@@ -84,6 +85,12 @@ class _End(_Section):
     price: float = 0.0
 
 
+class _Elastic(_Section):
+    limit: float = Field(Elastic.limit, gt=0, allow_inf_nan=False, description="$/MWh")
+    shedding: float = Field(Elastic.shedding, gt=0, allow_inf_nan=False)
+    balance: float = Field(Elastic.balance, gt=0, allow_inf_nan=False)
+
+
 class _Solver(_Section):
     name: str = "auto"
     options: dict[str, Any] = Field(default_factory=dict)
@@ -98,6 +105,7 @@ class _Controller(_Section):
     end: _End = Field(default_factory=_End)
     regularisation: float | None = Field(None, ge=0)
     on_infeasible: OnInfeasible = "stop"
+    elastic: _Elastic = Field(default_factory=_Elastic)
     solver: str | _Solver = "auto"
 
 
@@ -175,6 +183,11 @@ class Scenario:
         published = self.settings.published
         return {} if published is None else published.model_dump(exclude={"source"}, exclude_none=True)
 
+    @property
+    def elastic(self) -> Elastic:
+        """Prices at which limits give way where a problem has no solution."""
+        return Elastic(**self.settings.controller.elastic.model_dump())
+
     def problem(self, verbose: bool = False) -> MultiStage:
         """The multi-stage problem of the controller."""
         controller = self.settings.controller
@@ -242,7 +255,9 @@ class Scenario:
     def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
         """Run the closed loop of the scenario."""
         return simulate(
-            Controller(self.problem(verbose), self.forecast, self.settings.controller.on_infeasible),
+            Controller(
+                self.problem(verbose), self.forecast, self.settings.controller.on_infeasible, self.elastic
+            ),
             self.plant(),
             steps=self.steps,
             initial=self.initial(),

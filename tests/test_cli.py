@@ -351,6 +351,27 @@ def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     assert (code, "--on-infeasible pray: must be stop or elastic" in err) == (2, True)
 
 
+def test_prices_of_shortages_are_keys_of_a_scenario(call: Call, tmp_path: Path) -> None:
+    weak = tmp_path / "weak.yaml"
+    weak.write_text(
+        "network:\n  buses: {a: {}, b: {}}\n  branches: {l: {from_bus: a, to_bus: b, r: 0, x: 0.1, rating: 50}}\n"
+        "  generators: {g: {bus: a, p: [0, 100]}}\n  loads: {town: {bus: b, p: 80}}\n"
+        "controller: {formulation: dc, on_infeasible: elastic}\n"
+    )
+    for prices, lacking in (
+        ((), "branch l exceeds its rating by 30.0 MVA"),
+        (("shedding=100",), "b lacks 30.0 MW"),
+    ):
+        keys = [word for price in prices for word in ("--set", f"controller.elastic.{price}")]
+        code, out, _ = call("solve", weak, "--on-infeasible", "elastic", *keys)
+        assert (code, lacking in out) == (1, True)
+        code, out, _ = call("run", weak, "--out", tmp_path, "--json", "--no-figures", *keys)
+        assert lacking in json.loads(out)["diagnosis"]["0"][0]
+    for price in ("0", "-1", ".inf", "much"):
+        code, _, err = call("solve", weak, "--set", f"controller.elastic.shedding={price}")
+        assert (code, "controller.elastic.shedding" in err) == (2, True)
+
+
 def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
     plant = ("--set", "plant.mode=power-flow", "--set", "controller.formulation=dc", "--out", tmp_path)
     code, out, _ = call("run", CASE5, *SHORT, *plant)

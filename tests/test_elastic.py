@@ -206,6 +206,73 @@ def test_there_is_always_a_solution(
     assert violations["generator p"].value < 1e-5
 
 
+# No cost outbids a shortage ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("price", [20.0, 12_000.0, 1e6])
+def test_a_cost_above_the_price_of_shedding_sheds_no_more(formulation: str, price: float) -> None:
+    grid = one_bus(40)
+    grid.update("unit", cost=om.Polynomial(0, price, 0))
+    problem = om.MultiStage(grid, 4, formulation=formulation, profiles={"town.p": [30, 60, 35, 40]})
+    plan = problem.elastic_twin().solve()
+    assert [str(s) for s in plan.shortages] == ["bus 4 lacks 20.0 MW at hour 1"]
+    assert plan.data["pg"].values[:, 0] == pytest.approx([30, 40, 35, 40], abs=1e-2)
+    assert plan.objective == pytest.approx(145 * price, rel=1e-4)
+
+
+def test_among_the_plans_with_the_least_shortage_the_cheapest_is_taken() -> None:
+    grid = one_bus(40)
+    grid.update("unit", cost=om.Polynomial(0, 30_000, 0))
+    grid.cheaper = om.Generator("4", p=(0, 30), cost=om.Polynomial(0, 15_000, 0))
+    plan = om.MultiStage(grid, 2, profiles={"town.p": [90, 50]}, formulation="dc").elastic_twin().solve()
+    assert [str(s) for s in plan.shortages] == ["bus 4 lacks 20.0 MW at hour 0"]
+    assert plan.data["pg"].sel(generator="cheaper").values == pytest.approx([30, 30], abs=1e-2)
+    assert plan.data["pg"].sel(generator="unit").values == pytest.approx([40, 20], abs=1e-2)
+
+
+def test_a_loop_of_expensive_units_sheds_what_it_must() -> None:
+    grid = two_bus()
+    grid.update("coal", ramp=None, p=(0, 100), cost=om.Polynomial(0, 12_000, 0))
+    grid.remove("cell")
+    problem = om.MultiStage(grid, 2, formulation="dc", profiles={"town.p": [60, 80, 120, 80, 60]})
+    run = om.simulate(problem, steps=4, on_infeasible="elastic")
+    assert run.data["p_unserved"].values[:, 0] == pytest.approx([0, 0, 20, 0], abs=1e-2)
+    assert run.summary()["elastic_steps"] == 2
+
+
+def test_the_effort_of_all_phases_counts() -> None:
+    grid = one_bus(40)
+    plain = om.MultiStage(grid, formulation="dc").elastic_twin().solve()
+    grid.update("unit", cost=om.Polynomial(0, 12_000, 0))
+    outbid = om.MultiStage(grid, formulation="dc").elastic_twin().solve()
+    assert outbid.solution.iterations > plain.solution.iterations
+
+
+# What is short, and why ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "soc"])
+def test_a_lack_of_reactive_power_is_called_so(formulation: str) -> None:
+    grid = one_bus(200)
+    grid.update("unit", q=(0, 0))
+    grid.update("town", p=80, q=60)
+    problem = om.MultiStage(grid, formulation=formulation)
+    assert not problem.solve().optimal
+    assert sentences(problem) == ["bus 4 lacks 60.0 MVAr of reactive power at hour 0"]
+    grid.update("unit", q=(0, 30))
+    half = om.MultiStage(grid, formulation=formulation).elastic_twin().solve()
+    assert [str(s) for s in half.shortages] == ["bus 4 lacks 30.0 MVAr of reactive power at hour 0"]
+    assert half.data["p_unserved"].values[0, 0] == pytest.approx(40, abs=1e-2)
+
+
+def test_a_lack_of_both_is_called_after_the_tighter() -> None:
+    grid = one_bus(20)
+    grid.update("unit", q=(0, 50))
+    grid.update("town", p=80, q=60)
+    assert sentences(om.MultiStage(grid)) == ["bus 4 lacks 60.0 MW at hour 0"]
+
+
 @pytest.mark.parametrize("formulation", ["ac", "soc", "dc"])
 def test_demand_less_what_is_short_can_be_served(formulation: str) -> None:
     grid = two_bus()

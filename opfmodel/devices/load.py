@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.components import Load
 from opfmodel.elastic import Slack
 from opfmodel.model import Device, Model
-from opfmodel.network import Table
-from solvers import Expression
+from opfmodel.network import PerUnitNetwork, Table
+from solvers import Expression, Solution
 
 __all__ = ["LoadDevice"]
 
 
 class LoadDevice(Device):
-    """Demand ``p + jq`` that is served as it is; a parameter of every solve.
+    r"""Demand ``p + jq`` that is served as it is; a parameter of every solve.
 
     In an elastic problem a share of each load may be left unserved, active and reactive alike, at
-    the price of shedding times its apparent power.
+    the price of shedding times its apparent power. Which of the two the bus lacks is told by their
+    prices :math:`\lambda` where the shortage is least: reactive power where
+    :math:`\lambda_q q > \lambda_p p`.
     """
 
     component = Load
@@ -37,10 +40,28 @@ class LoadDevice(Device):
         model.inject(table.bus, p=active, q=reactive)
         soft = model.soft_balance(table.bus, "MW", "shedding")
         apparent = np.sqrt(p**2 + q**2) if model.reactive else np.sqrt(p**2)
-        model.build.minimize(model.penalty(soft) * apparent * share)
+        model.penalise(model.penalty(soft) * apparent * share)
         model.report("load", "p_unserved", active, unit="MW", description="active demand not served")
-        if model.reactive:
-            model.report(
-                "load", "q_unserved", reactive, unit="MVAr", description="reactive demand not served"
-            )
-        model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below)
+        if not model.reactive:
+            model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below)
+            return
+        model.report("load", "q_unserved", reactive, unit="MVAr", description="reactive demand not served")
+        soft_q = model.soft_balance(table.bus, "MVAr", "shedding")
+
+        def lacks_reactive(least: Solution, network: PerUnitNetwork) -> npt.NDArray[np.bool_]:
+            worth = [
+                -least.dual(rows)[model.zones[table.bus]] * _columns(network.load.arrays[field])
+                for rows, field in (("p_balance", "p"), ("q_balance", "q"))
+            ]
+            return np.asarray(worth[1] > worth[0])
+
+        def lacks_active(least: Solution, network: PerUnitNetwork) -> npt.NDArray[np.bool_]:
+            return ~lacks_reactive(least, network)
+
+        model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below, counts=lacks_active)
+        model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, soft_q.below, counts=lacks_reactive)
+
+
+def _columns(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """``(items,)`` as ``(items, 1)``."""
+    return values[:, None] if values.ndim == 1 else values

@@ -2,7 +2,8 @@
 
 from opfmodel.plan.constraints import PhysicalStage
 from opfmodel.plan.end import End
-from opfmodel.plan.multistage import Initial, MultiStage
+from opfmodel.plan.multistage import MultiStage
+from opfmodel.plan.request import Initial
 from opfmodel.plan.result import Plan
 
 __all__ = ["End", "Initial", "MultiStage", "PhysicalStage", "Plan"]

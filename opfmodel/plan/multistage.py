@@ -24,15 +24,26 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.plan.constraints import OwnConstraint, PhysicalStage, limit_of, rows_of
 from opfmodel.plan.end import End
 from opfmodel.plan.numbers import Numbers
-from opfmodel.plan.result import Plan
+from opfmodel.plan.request import Initial, Request
+from opfmodel.plan.result import Plan, penalty_outputs
+from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
 from opfmodel.profiles.series import Profiles
 from opfmodel.units import scale
-from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare, total
+from solvers import (
+    Constraint,
+    Expression,
+    Program,
+    Session,
+    SolverError,
+    Start,
+    Sum,
+    prepare,
+    total,
+)
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
 
 Array = npt.NDArray[np.float64]
-Initial = Mapping[str, "npt.ArrayLike | None"]
 
 
 class MultiStage:
@@ -130,6 +141,7 @@ class MultiStage:
         self.verbose = verbose
         self.build_seconds = 0.0
         self._constraints: dict[str, OwnConstraint] = {}
+        self._rationed = False
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -200,11 +212,31 @@ class MultiStage:
         >>> print(problem.elastic_twin().solve().shortages[0])
         bus bus lacks 10.0 MW at hour 0
         """
+        return self.variant(elastic=Elastic() if prices is None else prices)
+
+    def variant(
+        self, *, elastic: Elastic | None, objective: Objective | None = None, rationed: bool = False
+    ) -> MultiStage:
+        """The same problem with other prices of shortages, another objective, or shortages that are limited.
+
+        Parameters
+        ----------
+        rationed
+            Whether every solve states what the shortages may cost.
+        """
         twin = copy(self)
-        vars(twin).pop("_compiled", None)
+        for name in ("_compiled", "_objective_series", "shortage_problems"):
+            vars(twin).pop(name, None)
         twin._constraints = dict(self._constraints)
-        twin.elastic = Elastic() if prices is None else prices
+        twin.elastic, twin._rationed = elastic, rationed
+        twin.objective = self.objective if objective is None else objective
         return twin
+
+    @cached_property
+    def shortage_problems(self) -> tuple[MultiStage, MultiStage]:
+        """The problems of the least shortage, and of the least cost at a given shortage."""
+        least = self.variant(elastic=self.elastic, objective=Nothing())
+        return least, self.variant(elastic=self.elastic, rationed=True)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -279,6 +311,10 @@ class MultiStage:
             self._constrain(model, name, own)
         for name, published in {**model.published, **model.reported}.items():
             model.build.output(name, published.values)
+        for name, cost in zip(penalty_outputs(model), model.penalties, strict=True):
+            model.build.output(name, cost)
+        if self._rationed:
+            limit_shortage(model)
         program = model.build.build()
         session = prepare(program, self.solver, self.options, self.verbose)
         self.build_seconds = clock.perf_counter() - began
@@ -393,15 +429,38 @@ class MultiStage:
         Returns
         -------
         Plan
-            Also when the solver failed; see :attr:`Plan.status`.
+            Also when the solver failed; see :attr:`Plan.status`. Of an elastic problem, the cheapest plan
+            among those with the least priced shortage.
         """
+        request = Request(time, initial, self.end if end is None else end, expected)
+        plan = self.solve_once(request, previous, multipliers)
+        return without_outbidding(self, plan, request) if plan.shortages else plan
+
+    def solve_once(
+        self,
+        request: Request,
+        previous: Plan | None = None,
+        multipliers: bool = True,
+        ceiling: float | None = None,
+    ) -> Plan:
+        """Solve the compiled problem as it is; of an elastic one, cost and priced shortage together.
+
+        Parameters
+        ----------
+        ceiling
+            Of a rationed problem, what its shortages may cost, p.u. h of the cheapest kind.
+        """
+        time, initial, end = request.time, request.initial, request.end
         if isinstance(time, bool) or not isinstance(time, int | np.integer) or time < 0:
             raise ModelError(f"time = {time!r}: must be a step of the profiles, a whole number from 0 on")
         model, program, session = self._compiled
-        if previous is not None and previous.solution.x.size != program.n_variables:
+        if (
+            previous is not None
+            and previous.problem is not self
+            and previous.solution.x.size != program.n_variables
+        ):
             raise ModelError("previous: it is a plan of another problem, with other variables")
-        end = self.end if end is None else end
-        network = self.window(time, self.horizon).with_series(expected or {})
+        network = self.window(time, self.horizon).with_series(request.expected or {})
         numbers = Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
@@ -422,16 +481,20 @@ class MultiStage:
         for name, own in self._constraints.items():
             if own.limited:
                 numbers.limit(rows_of(name), *own.window(name, time, self.horizon))
+        if ceiling is not None:
+            numbers.limit(CEILING, np.array([-np.inf]), np.array([ceiling]))
         instance = numbers.instance()
-        start = _start(previous, time, multipliers)
+        start = _start(previous, program, time, multipliers)
         solution = session.solve(instance, start)
         return Plan(self, model, solution, network, time)
 
 
-def _start(previous: Plan | None, time: int, multipliers: bool) -> Start | None:
+def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
     moved = previous.solution.shifted(time - previous.time)
+    if previous.solution.program is not program:  # found at the least shortage, with other rows or variables
+        return Start(moved.x) if moved.x.size == program.n_variables else None
     return moved if multipliers else Start(moved.x)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["Plan", "status_word"]
+__all__ = ["Plan", "penalty_outputs", "status_word"]
 
 Array = npt.NDArray[np.float64]
 
@@ -34,24 +34,35 @@ class Plan:
 
     Attributes
     ----------
+    model, network
+        What was declared, and the arrays of the network with the series of the window.
     solution
         The certified solution of the program.
+    least
+        Of an elastic problem, the solution with the least shortage whatever it costs.
     time
         First step of the plan.
     """
 
     def __init__(
-        self, problem: MultiStage, model: Model, solution: Solution, network: PerUnitNetwork, time: int
+        self,
+        problem: MultiStage,
+        model: Model,
+        solution: Solution,
+        network: PerUnitNetwork,
+        time: int,
+        least: Solution | None = None,
     ) -> None:
         self.problem = problem
+        self.least = solution if least is None else least
         self.solution = solution
         self.time = time
-        self._model = model
-        self._network = network
+        self.model = model
+        self.network = network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} $" if self.optimal else ""
-        return f"Plan({self._network.name!r}, from step {self.time}: {self.status}{cost})"
+        return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
 
     @property
     def status(self) -> str:
@@ -82,17 +93,17 @@ class Plan:
     @cached_property
     def stage(self) -> NumericStage:
         """The quantities of the plan as numbers in per unit, for metering costs."""
-        return NumericStage(self._network, self.problem.step, self.quantities(), self._model.devices)
+        return NumericStage(self.network, self.problem.step, self.quantities(), self.model.devices)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
 
         And what devices of other packages feed into the buses, as ``("bus", "<kind>_p")`` and ``_q``.
         """
-        named = {**self._model.published, **self._model.reported}
+        named = {**self.model.published, **self.model.reported}
         values = {(p.kind, name): self.solution.value(name) for name, p in named.items()}
-        for injection in self._model.injections:
-            power = injection.at_buses(self.solution, self._network)
+        for injection in self.model.injections:
+            power = injection.at_buses(self.solution, self.network)
             values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
         return self._held(values)
 
@@ -102,13 +113,13 @@ class Plan:
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
-        network, stages = self._network, self.problem.horizon
+        network, stages = self.network, self.problem.horizon
         return {
             (slack.kind, name): slack.spread(
                 slack.amount(self.solution.value(name), network), len(network.tables[slack.kind]), stages
             )
-            for name, slack in self._model.slacks.items()
-            if slack.kind in network.tables and name not in self._model.reported
+            for name, slack in self.model.slacks.items()
+            if slack.kind in network.tables and name not in self.model.reported
         }
 
     @cached_property
@@ -117,8 +128,13 @@ class Plan:
         prices = self.problem.elastic
         if prices is None or not self.optimal:
             return ()
-        slacks, step = self._model.slacks.values(), self.problem.step
-        return shortages(slacks, self.solution.value, self._network, prices, step, self.times)
+        slacks, step = self.model.slacks.values(), self.problem.step
+        return shortages(slacks, self.solution, self.least, self.network, prices, step, self.times)
+
+    @property
+    def penalty(self) -> float:
+        """What the shortages of an elastic plan cost at its prices, $; 0 where every limit is hard."""
+        return sum(float(self.solution.value(name).sum()) for name in penalty_outputs(self.model))
 
     def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
         """The states after the first stage has been applied, in physical units.
@@ -138,7 +154,7 @@ class Plan:
             raise ModelError(f"the plan from step {self.time} is {self.status}: it leads to no state")
         out = {}
         committed = self.problem.generator_delay == 1
-        for state in self._model.states.values():
+        for state in self.model.states.values():
             name = f"{state.name}_next" if state.role == "stock" else state.name
             if happened is not None and (state.role == "stock" or not committed):
                 values = happened[state.kind, name]
@@ -148,14 +164,14 @@ class Plan:
                 raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
             else:
                 values = self.solution.value(name)[:, 1]
-            out[state.name] = values * scale(state.unit, self._network.base_mva)
+            out[state.name] = values * scale(state.unit, self.network.base_mva)
         return out
 
     def stocks(self) -> dict[str, Array]:
         """The stocks that the plan starts from, in physical units."""
         return {
-            state.name: self._points(state.name)[:, 0] * scale(state.unit, self._network.base_mva)
-            for state in self._model.states.values()
+            state.name: self._points(state.name)[:, 0] * scale(state.unit, self.network.base_mva)
+            for state in self.model.states.values()
             if state.role == "stock"
         }
 
@@ -163,7 +179,7 @@ class Plan:
         """Published quantities, by ``(kind, name)``, that are variables: neither stocks nor results."""
         return [
             (p.kind, name)
-            for name, p in self._model.published.items()
+            for name, p in self.model.published.items()
             if name in self.solution.program.variables and name not in self.stocks()
         ]
 
@@ -180,9 +196,9 @@ class Plan:
             name: (kind, *described[name], array)
             for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
-        made = dataset(self._network, values, self.times)
+        made = dataset(self.network, values, self.times)
         made.attrs |= {
-            "network": self._network.name,
+            "network": self.network.name,
             "formulation": self.problem.formulation.name,
             "objective": type(self.problem.objective).__name__,
             "status": self.status,
@@ -194,13 +210,11 @@ class Plan:
 
     def price(self, name: str) -> Array:
         """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        return self._model.prices[name].read(self.solution, self._network)
+        return self.model.prices[name].read(self.solution, self.network)
 
     def prices(self) -> dict[tuple[str, str], Array]:
         """All shadow prices by ``(kind, name)``; see :meth:`price`."""
-        return self._held(
-            {(price.kind, name): self.price(name) for name, price in self._model.prices.items()}
-        )
+        return self._held({(price.kind, name): self.price(name) for name, price in self.model.prices.items()})
 
     @cached_property
     def relaxation(self) -> dict[str, float]:
@@ -212,7 +226,7 @@ class Plan:
         """
         if not self.optimal:
             return {}
-        return self.problem.formulation.relaxation(self.solution, self._network)
+        return self.problem.formulation.relaxation(self.solution, self.network)
 
     def relaxation_gap(self, exact: Plan | float) -> float:
         """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""
@@ -224,6 +238,11 @@ class Plan:
         """Hours at which the stages begin."""
         stages = np.arange(self.problem.horizon, dtype=float)
         return (self.time + stages) * self.problem.step
+
+
+def penalty_outputs(model: Model) -> list[str]:
+    """Names of the program's outputs with what shortages cost."""
+    return [f"penalty {number}" for number in range(1, len(model.penalties) + 1)]
 
 
 def status_word(status: SolutionStatus) -> str:

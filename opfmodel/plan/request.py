@@ -1,0 +1,25 @@
+"""What one solve is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.plan.end import End
+
+__all__ = ["Initial", "Request"]
+
+Initial = Mapping[str, "npt.ArrayLike | None"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """The stages, the state and the data of one solve; see :meth:`opfmodel.MultiStage.solve`."""
+
+    time: int
+    initial: Initial | None
+    end: End
+    expected: Mapping[tuple[str, str], npt.NDArray[np.float64]] | None
