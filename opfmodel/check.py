@@ -49,15 +49,28 @@ class Violation:
     Attributes
     ----------
     value
-        In p.u. (powers, voltages, energies in p.u. h) or radians.
+        In per unit on the network's ``base_mva`` (energies in p.u. h), or radians.
     component, time
         Where it is, and the coordinate of its stage.
+    physical, unit
+        The same in MW, MVAr, MVA, MWh, degrees or p.u. of voltage.
+    relative
+        The same in per unit on ``Network.scale_mva``, which does not depend on the base, or radians.
     """
 
     family: str
     value: float
     component: str
     time: float
+    physical: float
+    unit: str
+    relative: float
+
+    def __str__(self) -> str:
+        amount = f"{self.value:.1e} p.u."
+        if self.unit == "deg":
+            amount = f"{self.value:.1e} rad"
+        return amount if self.unit == "p.u." else f"{amount} ({self.physical:.1e} {self.unit})"
 
 
 @dataclass
@@ -90,11 +103,19 @@ class Report:
     @property
     def worst(self) -> Violation | None:
         """The family with the largest violation."""
-        return max(self.violations.values(), key=lambda v: v.value, default=None)
+        return max(self.violations.values(), key=lambda v: v.relative, default=None)
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """The violations that are not zero, by family, as plain data in physical units."""
+        return {
+            v.family: {"value": v.physical, "unit": v.unit, "component": v.component, "time": v.time}
+            for v in self.violations.values()
+            if v.value > 0
+        }
 
     def __str__(self) -> str:
         lines = [
-            f"{v.family:<22} {v.value:10.3e}  at {v.component}, time {v.time:g}"
+            f"{v.family:<22} {v}  at {v.component}, time {v.time:g}"
             for v in sorted(self.violations.values(), key=lambda v: -v.value)
         ]
         left_out = [f"{'not checked':<22} {what}" for what in self.unchecked]
@@ -152,6 +173,7 @@ class _Checker:
     def __init__(self, network: Network, data: xr.Dataset, series: dict[str, Any], first: int) -> None:
         self.network = network
         self.base = network.base_mva
+        self.scale = network.scale_mva
         self.data = data
         self.series = series
         self.first = first
@@ -193,18 +215,22 @@ class _Checker:
             return np.asarray(values, dtype=float)[self.first : self.first + len(self.times)]
         return np.full(len(self.times), math.inf if constant is None else constant)
 
-    def note(self, family: str, component: str, excess: Array, unit: float) -> None:
-        """Keep the largest violation of a family; ``unit`` is the physical value of 1 p.u."""
-        values = np.where(np.isnan(excess), np.inf, excess) / unit
+    def note(self, family: str, component: str, excess: Array, unit: str) -> None:
+        """Keep the largest violation of a family, in its physical unit."""
+        values = np.where(np.isnan(excess), np.inf, excess)
         worst = int(np.argmax(values)) if values.size else 0
-        value = max(float(values[worst]), 0.0) if values.size else 0.0
+        physical = max(float(values[worst]), 0.0) if values.size else 0.0
         known = self.report.violations.get(family)
-        if known is None or value > known.value:
-            self.report.violations[family] = Violation(family, value, component, float(self.times[worst]))
+        if known is None or physical > known.physical:
+            power = unit not in ("p.u.", "deg")
+            value = math.radians(physical) if unit == "deg" else physical / (self.base if power else 1.0)
+            relative = physical / self.scale if power else value
+            time = float(self.times[worst])
+            self.report.violations[family] = Violation(
+                family, value, component, time, physical, unit, relative
+            )
 
-    def inside(
-        self, family: str, component: str, values: Array, low: Array, high: Array, unit: float
-    ) -> None:
+    def inside(self, family: str, component: str, values: Array, low: Array, high: Array, unit: str) -> None:
         """Check ``low <= values <= high``."""
         self.note(family, component, np.maximum(low - values, values - high), unit)
 
@@ -237,21 +263,21 @@ class _Checker:
         for name, bus in self.buses.items():
             low, high = self.bounds(name, "vm", bus.vm)
             if self.reactive and {"vm", "w"} & set(self.data):
-                self.inside("voltage", name, np.sqrt(self.voltage_squared(name)), low, high, 1.0)
+                self.inside("voltage", name, np.sqrt(self.voltage_squared(name)), low, high, "p.u.")
         for name, (at_from, at_to) in flows.items():
             branch = self.network[name]
             assert isinstance(branch, Branch)
             for end, p, q in ((at_from, "pf", "qf"), (at_to, "pt", "qt")):
                 for reported, power in ((p, end.real), (q, end.imag)):
                     if reported in self.data:
-                        difference = np.abs(self.value(reported, name) / self.base - power)
-                        self.note("reported flow", name, difference, 1.0)
+                        difference = np.abs(self.value(reported, name) - self.base * power)
+                        self.note("reported flow", name, difference, "MVA")
                 rating = self.declared(name, "rating", branch.rating)
-                self.note("branch rating", name, np.abs(end) - rating / self.base, 1.0)
+                self.note("branch rating", name, self.base * np.abs(end) - rating, "MVA")
             least, most = branch.angle
             if (least > -360 or most < 360) and self.angles_known:
                 bounds = (np.full(len(self.times), least), np.full(len(self.times), most))
-                self.inside("angle difference", name, self.angle(name, branch), *bounds, math.degrees(1.0))
+                self.inside("angle difference", name, self.angle(name, branch), *bounds, "deg")
         missing = self.unreported()
         for plural in missing:
             self.leave_out(f"balance of the buses: the results do not say what the {plural} draw")
@@ -311,7 +337,8 @@ class _Checker:
         for quantity, factor in ((active, 1.0), (reactive, 1j)):
             if quantity in self.data:
                 power += factor * self.value(quantity, name) / self.base
-                self.note(quantity.replace("_", " "), name, np.abs(self.value(quantity, name)), self.base)
+                unit = "MW" if factor == 1.0 else "MVAr"
+                self.note(quantity.replace("_", " "), name, np.abs(self.value(quantity, name)), unit)
         return power
 
     def power(self, active: str, reactive: str | None, name: str) -> Any:
@@ -330,9 +357,9 @@ class _Checker:
         if self.data.attrs.get("formulation") == "copperplate":
             total = {members[0]: sum(total[bus] for bus in members) for members in self.islands()}
         for bus, power in total.items():
-            self.note("active balance", bus, np.abs(power.real), 1.0)
+            self.note("active balance", bus, self.base * np.abs(power.real), "MW")
             if self.reactive:
-                self.note("reactive balance", bus, np.abs(power.imag), 1.0)
+                self.note("reactive balance", bus, self.base * np.abs(power.imag), "MVAr")
 
     def islands(self) -> list[list[str]]:
         """Buses that branches connect, by following branches from bus to bus."""
@@ -349,16 +376,16 @@ class _Checker:
         """Active and reactive limits and ramps."""
         for name, generator in self.of(Generator, "generator").items():
             pg = self.value("pg", name)
-            self.inside("generator p", name, pg, *self.bounds(name, "p", generator.p), self.base)
+            self.inside("generator p", name, pg, *self.bounds(name, "p", generator.p), "MW")
             if self.reactive:
                 bounds = self.bounds(name, "q", generator.q)
-                self.inside("generator q", name, self.value("qg", name), *bounds, self.base)
+                self.inside("generator q", name, self.value("qg", name), *bounds, "MVAr")
             ramp = self.declared(name, "ramp", generator.ramp)
             if np.isfinite(ramp).any():
                 before = math.nan if previous_pg is None else previous_pg[name]
                 change = np.abs(np.diff(pg, prepend=before))
                 change[np.isnan(change)] = 0.0
-                self.note("ramp", name, change - ramp * self.step, self.base)
+                self.note("ramp", name, change - ramp * self.step, "MW")
 
     def check_storages(self) -> None:
         """Power, energy and apparent-power limits, and the energy balance of each storage."""
@@ -367,26 +394,29 @@ class _Checker:
             ps = self.value("ps", name)
             qs: Array = self.value("qs", name) if self.reactive else np.zeros(len(ps))
             e, e_next = self.value("e", name), self.value("e_next", name)
-            for key, values, pair in (("power", ps, storage.power), ("q", qs, storage.q)):
+            for key, values, pair, unit in (
+                ("power", ps, storage.power, "MW"),
+                ("q", qs, storage.q, "MVAr"),
+            ):
                 ends = pair if isinstance(pair, tuple) else (-pair, pair)
-                self.inside(f"storage {key}", name, values, *self.bounds(name, key, ends), self.base)
+                self.inside(f"storage {key}", name, values, *self.bounds(name, key, ends), unit)
             low = self.declared(name, "energy_min", storage.energy_min)
             high = self.declared(name, "energy", storage.energy)
-            self.inside("storage energy", name, e_next, low, high, self.base)
+            self.inside("storage energy", name, e_next, low, high, "MWh")
             rating = self.declared(name, "rating", storage.rating)
-            self.note("storage rating", name, np.hypot(ps, qs) - rating, self.base)
-            self.note("energy continuity", name, np.abs(e[1:] - e_next[:-1]), self.base)
+            self.note("storage rating", name, np.hypot(ps, qs) - rating, "MVA")
+            self.note("energy continuity", name, np.abs(e[1:] - e_next[:-1]), "MWh")
             stored = (e_next - (1 - storage.standing_loss * self.step) * e) / self.step
             self._check_efficiency(name, storage, ps, stored)
 
     def _check_efficiency(self, name: str, storage: Storage, ps: Array, stored: Array) -> None:
         gain, drain = storage.charge_efficiency, 1 / storage.discharge_efficiency
         if gain == drain:  # lossless
-            self.note("storage dynamics", name, np.abs(stored - ps), self.base)
+            self.note("storage dynamics", name, np.abs(stored - ps), "MW")
             return
         # of all splits into charging and discharging the one with nothing at once stores most
         most = np.where(ps >= 0, gain * ps, drain * ps)
-        self.note("storage dynamics", name, stored - most, self.base)
+        self.note("storage dynamics", name, stored - most, "MW")
         wasted = (most - stored) / (drain - gain)
         self.report.simultaneous = max(self.report.simultaneous, float(wasted.max()) / self.base)
 
@@ -439,7 +469,7 @@ def _soc_flows(c: _Checker) -> Flows:
     for name, branch in c.of(Branch, "branch").items():
         w_from, w_to = c.value("w", branch.from_bus), c.value("w", branch.to_bus)
         product = c.value("wr", name) + 1j * c.value("wi", name)  # v_from v_to*
-        c.note("voltage products", name, np.abs(product) ** 2 - w_from * w_to, 1.0)
+        c.note("voltage products", name, np.abs(product) ** 2 - w_from * w_to, "p.u.")
         series, from_end, to_end = _pi_model(branch)
         ratio = cmath.rect(branch.tap, math.radians(branch.shift))
         at_from = (series + from_end).conjugate() * w_from / abs(ratio) ** 2
@@ -477,7 +507,7 @@ def _dc_losses_flows(c: _Checker) -> Flows:
         assert isinstance(branch, Branch)
         loss = c.value("loss", name) / c.base
         least = (1 / complex(branch.r, branch.x)).real * np.deg2rad(c.angle(name, branch)) ** 2
-        c.note("branch loss", name, np.maximum(least - loss, -loss), 1.0)
+        c.note("branch loss", name, c.base * np.maximum(least - loss, -loss), "MW")
         flows[name] = (flow + loss / 2, -flow + loss / 2)
     return flows
 

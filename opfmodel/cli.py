@@ -156,6 +156,7 @@ def solve(
         "solve_seconds": plan.solution.seconds,
         "iterations": plan.solution.iterations,
         "max_violation": None if report is None else report.max_violation,
+        "violations": {} if report is None else report.as_dict(),
         "unchecked": [] if report is None else list(report.unchecked),
         "formulation": problem.formulation.name,
         "solver": plan.solution.solver,
@@ -211,13 +212,18 @@ def run(
         "scenario": loaded.name,
         **done.summary(),
         "max_violation": None,
+        "violations": {},
         "unchecked": [],
     }
     if done.steps:
         data = done.data
         report = check(loaded.network, data, loaded.profiles.named)
         exceeded = _exceeded(report)
-        summary |= {"max_violation": report.max_violation, "unchecked": list(report.unchecked)}
+        summary |= {
+            "max_violation": report.max_violation,
+            "violations": report.as_dict(),
+            "unchecked": list(report.unchecked),
+        }
         results.save(data, summary, folder)
         if figures:
             plot.save_figures(data, folder, figures=["system"])
@@ -388,7 +394,7 @@ def study_table(
     return 0
 
 
-_TOLERATED = 1e-5  # p.u. or radians
+_TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
 _ELASTIC = "--on-infeasible elastic says what is lacking, where and when"
 
 # Parts of the commands --------------------------------------------------------------------------
@@ -560,7 +566,7 @@ def _verified(report: Report) -> dict[str, str]:
     """The lines of what the independent check found in a plan."""
     worst = report.worst
     place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
-    return {"max violation": f"{report.max_violation:.1e} p.u.{place}", **_unchecked(report.unchecked)}
+    return {"max violation": f"{'none' if worst is None else worst}{place}", **_unchecked(report.unchecked)}
 
 
 def _unchecked(what: Iterable[str]) -> dict[str, str]:
@@ -572,9 +578,9 @@ def _unchecked(what: Iterable[str]) -> dict[str, str]:
 def _exceeded(report: Report) -> dict[str, str]:
     """The line that names the worst violation, if it is more than solvers leave."""
     worst = report.worst
-    if worst is None or worst.value <= _TOLERATED:
+    if worst is None or worst.relative <= _TOLERATED:
         return {}
-    return {"limits exceeded": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst.value:.1e}"}
+    return {"limits exceeded": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
 
 
 def _print_run(summary: Mapping[str, Any], folder: Path, exceeded: Mapping[str, str]) -> None:

@@ -411,18 +411,18 @@ class Branch(Component):
 
     from_bus: str = at_bus()
     to_bus: str = at_bus()
-    r: float = number("p.u.", series=False)
-    x: float = number("p.u.", series=False)
-    b: float = number("p.u.", 0.0, series=False)
-    g: float = number("p.u.", 0.0, series=False)
+    r: float = number("p.u. impedance", series=False)
+    x: float = number("p.u. impedance", series=False)
+    b: float = number("p.u. admittance", 0.0, series=False)
+    g: float = number("p.u. admittance", 0.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
     tap: float = number("", 1.0, above=0.0, series=False)
     shift: float = number("deg", 0.0, series=False)
     angle: tuple[float, float] = span("deg", (-360.0, 360.0), series=False)
-    g_from: float = number("p.u.", 0.0, series=False)
-    b_from: float = number("p.u.", 0.0, series=False)
-    g_to: float = number("p.u.", 0.0, series=False)
-    b_to: float = number("p.u.", 0.0, series=False)
+    g_from: float = number("p.u. admittance", 0.0, series=False)
+    b_from: float = number("p.u. admittance", 0.0, series=False)
+    g_to: float = number("p.u. admittance", 0.0, series=False)
+    b_to: float = number("p.u. admittance", 0.0, series=False)
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
@@ -587,7 +587,8 @@ class Network:
     name
         Name of the network.
     base_mva
-        Power base of all per-unit quantities, MVA.
+        Power base of the impedances and admittances of its branches, MVA. No result depends on it: inside,
+        everything is per unit on :attr:`scale_mva`.
 
     Examples
     --------
@@ -605,6 +606,27 @@ class Network:
         object.__setattr__(self, "name", str(name))
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
+
+    @property
+    def capacity_mva(self) -> float:
+        """The largest of what generators, loads and storages can exchange, MW; 0 if nothing is limited."""
+        generators, storages = self.of(Generator).values(), self.of(Storage).values()
+        sums = (
+            sum(abs(g.p[1]) for g in generators if g.in_service and abs(g.p[1]) < INF),
+            sum(abs(load.p) for load in self.of(Load).values() if load.in_service),
+            sum(s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service),
+        )
+        return float(max(sums))
+
+    @property
+    def scale_mva(self) -> float:
+        """Power base on which the quantities of the system are of the order of one, MVA.
+
+        100 MVA, or for a smaller system the power of ten at or below its capacity. It does not depend on
+        ``base_mva``, so that neither do results.
+        """
+        capacity = self.capacity_mva
+        return min(100.0, 10.0 ** math.floor(math.log10(capacity))) if capacity > 0 else 100.0
 
     def add(self, name: str, component: Component) -> Component:
         """Declare a component under a name.

@@ -33,8 +33,9 @@ class Elastic:
     The prices weigh one shortage against another. However high costs are, no shortage is accepted to
     save them: of all plans with the least priced shortage the cheapest is taken.
 
-    A price of 1 p.u. of anything (power, voltage, angle in radians, energy) for one hour is the
-    price below times ``base_mva``, so that 0.01 p.u. of voltage costs as much as 1 MW on 100 MVA.
+    A price of 1 p.u. of anything (power, voltage, angle in radians, energy) for one hour is the price
+    below times the power base of the system, :attr:`Network.scale_mva`, so that 0.01 p.u. of voltage
+    costs as much as 1 MW where that is 100 MVA.
 
     Parameters
     ----------

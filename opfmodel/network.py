@@ -27,6 +27,10 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
+# Capacity in per unit on the declared base: households on 100 MVA, and continents, lie in between.
+_SMALLEST, _LARGEST = 1e-5, 1e4
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """All components of one kind as arrays in per unit; fields are attributes.
@@ -79,6 +83,10 @@ class PerUnitNetwork:
 
     Attributes
     ----------
+    base_mva
+        Base of the arrays: :attr:`Network.scale_mva <opfmodel.components.Network.scale_mva>`.
+    declared_mva
+        Base on which the network declares its impedances.
     tables
         A table per kind of component, also for kinds without components among the built-in ones.
     island
@@ -93,6 +101,7 @@ class PerUnitNetwork:
 
     name: str
     base_mva: float
+    declared_mva: float
     tables: Mapping[str, Table]
     island: Index
     reference: Index
@@ -128,6 +137,11 @@ class PerUnitNetwork:
     def shunt(self) -> Table:
         """Shunts."""
         return self.tables["shunt"]
+
+    @property
+    def rebased(self) -> float:
+        """One unit of power inside in per unit on the declared base, for weights that are declared on it."""
+        return self.base_mva / self.declared_mva
 
     @property
     def n_islands(self) -> int:
@@ -198,11 +212,13 @@ def per_unit(network: Network) -> PerUnitNetwork:
     names = [b for b in buses if b not in lonely]
     if not names:
         raise NetworkError(f"network {network.name!r} has no bus in service")
+    base_mva = network.scale_mva
+    notes += _absurd_base(network)
     kinds = dict.fromkeys((*components.BUILT_IN, *network.kinds()))
     position = {b: i for i, b in enumerate(names)}
     tables = {
         kind.kind: _table(
-            kind, {n: c for n, c in kept.items() if type(c) is kind}, position, network.base_mva
+            kind, {n: c for n, c in kept.items() if type(c) is kind}, position, base_mva, network.base_mva
         )
         for kind in kinds
     }
@@ -221,7 +237,20 @@ def per_unit(network: Network) -> PerUnitNetwork:
         if note:
             notes.append(note)
     left_out = tuple(name for name in network if name not in kept)
-    return PerUnitNetwork(network.name, network.base_mva, tables, island, reference, tuple(notes), left_out)
+    return PerUnitNetwork(
+        network.name, base_mva, network.base_mva, tables, island, reference, tuple(notes), left_out
+    )
+
+
+def _absurd_base(network: Network) -> list[str]:
+    """A note where the base of the impedances does not suit the size of the system."""
+    size = network.capacity_mva / network.base_mva
+    if not size or _SMALLEST <= size <= _LARGEST:
+        return []
+    return [
+        f"base_mva = {network.base_mva:g} for a system of {network.capacity_mva:g} MW: "
+        "are the impedances of its branches per unit on that base?"
+    ]
 
 
 def _check_buses(network: Network) -> None:
@@ -251,7 +280,11 @@ def _reference(
 
 
 def _table(
-    kind: type[Component], members: Mapping[str, Component], buses: Mapping[str, int], base_mva: float
+    kind: type[Component],
+    members: Mapping[str, Component],
+    buses: Mapping[str, int],
+    base_mva: float,
+    declared_mva: float,
 ) -> Table:
     arrays: dict[str, npt.NDArray[Any]] = {}
     units: dict[str, str] = {}
@@ -259,7 +292,7 @@ def _table(
     for key, item in kind.fields().items():
         form, unit = item.metadata["form"], item.metadata["unit"]
         values = [getattr(m, key) for m in resolved]
-        factor = scale(unit, base_mva)
+        factor = scale(unit, base_mva, declared_mva)
         if form == "number":
             plain = [np.inf if v is None else v for v in values]
             arrays[key], units[key] = np.array(plain, dtype=float) / factor, unit

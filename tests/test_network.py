@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from conftest import demand, everything, two_bus
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import opfmodel as om
+from opfmodel.check import check
 from opfmodel.errors import ComponentError, NetworkError, ProfileError
 from opfmodel.network import per_unit
 from opfmodel.physics import branch_admittance, branch_flow, polar_products
@@ -16,20 +20,116 @@ from opfmodel.physics import branch_admittance, branch_flow, polar_products
 
 def test_quantities_are_in_per_unit(rich_grid: om.Network) -> None:
     arrays = per_unit(rich_grid)
-    assert arrays.base_mva == 50
-    assert_allclose(arrays.generator.p_max, [1.2, 1.0])
-    assert_allclose(arrays.generator.ramp, [0.3, np.inf])
-    assert_allclose(arrays.generator.c2, [0.02 * 50**2, 0])
-    assert_allclose(arrays.generator.c1, [12 * 50, 0])
-    assert_allclose(arrays.generator.segment_slope, [25 * 50, 40 * 50])
+    assert (arrays.base_mva, arrays.declared_mva) == (100, 50)  # its size decides, not the declared base
+    assert_allclose(arrays.generator.p_max, [0.6, 0.5])
+    assert_allclose(arrays.generator.ramp, [0.15, np.inf])
+    assert_allclose(arrays.generator.c2, [0.02 * 100**2, 0])
+    assert_allclose(arrays.generator.c1, [12 * 100, 0])
+    assert_allclose(arrays.generator.segment_slope, [25 * 100, 40 * 100])
     assert arrays.generator.segment_owner.tolist() == [1, 1]
-    assert_allclose(arrays.storage.power_min, [-0.24, -0.12])
-    assert_allclose(arrays.storage.initial, [0.3, (3 + 30) / 2 / 50])
+    assert_allclose(arrays.storage.power_min, [-0.12, -0.06])
+    assert_allclose(arrays.storage.initial, [0.15, (3 + 30) / 2 / 100])
+    assert_allclose(arrays.branch.x[:2], [0.16, 0.10])
+    assert_allclose(arrays.branch.b[2], 0.1)
+    assert_allclose(arrays.branch.b_from[2], 0.005)
     assert_allclose(arrays.branch.shift[1], np.deg2rad(3))
     assert_allclose(arrays.branch.angle_max[0], np.deg2rad(25))
-    assert_allclose(arrays.branch.rating, [1.2, 1.4, np.inf, 0.8])
+    assert_allclose(arrays.branch.rating, [0.6, 0.7, np.inf, 0.4])
     assert arrays.load.bus.tolist() == [1, 3, 2]
-    assert_allclose(arrays.load.physical("p"), [40, 25, -6])
+    assert_allclose(100 * arrays.load.p, [40, 25, -6])
+
+
+def rebased(grid: om.Network, base_mva: float) -> om.Network:
+    """The same grid with its impedances declared on another base."""
+    made = om.Network(grid.name, base_mva)
+    ratio = base_mva / grid.base_mva
+    for name in grid:
+        component = grid[name]
+        if isinstance(component, om.Branch):
+            powers = {"r": ratio, "x": ratio} | dict.fromkeys(ADMITTANCES, 1 / ratio)
+            component = replace(component, **{k: f * getattr(component, k) for k, f in powers.items()})
+        made.add(name, component)
+    return made
+
+
+ADMITTANCES = ("b", "g", "b_from", "g_from", "b_to", "g_to")
+
+
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "soc", "dc", "dc-losses"])
+@pytest.mark.parametrize("base_mva", [1e-4, 0.01, 1.0, 1e3, 1e7])
+def test_no_result_depends_on_the_base(formulation: str, base_mva: float) -> None:
+    def solved(grid: om.Network) -> om.Plan:
+        return om.MultiStage(grid, 4, formulation=formulation, profiles=demand(4)).solve()
+
+    plan, other = solved(everything()), solved(rebased(everything(), base_mva))
+    assert other.status == plan.status
+    assert other.objective == pytest.approx(plan.objective, rel=1e-9)
+    for name, values in plan.data.items():
+        assert other.data[name].values == pytest.approx(values.values, rel=1e-5, abs=1e-5), name
+    found, expected = (
+        check(grid, p.data, demand(4)).worst
+        for grid, p in ((rebased(everything(), base_mva), other), (everything(), plan))
+    )
+    assert found.relative <= 1e-6
+    assert found.physical == pytest.approx(found.value * (base_mva if found.unit.startswith("M") else 1))
+    assert expected.physical <= 1e-4
+
+
+def test_an_elastic_plan_does_not_depend_on_the_base() -> None:
+    series = {**demand(4), "town.p": [40.0, 120.0, 60.0, 40.0]}
+    plans = [
+        om.MultiStage(grid, 4, profiles=series).elastic_twin().solve()
+        for grid in (everything(), rebased(everything(), 0.01))
+    ]
+    assert plans[0].shortages
+    assert [str(s) for s in plans[0].shortages] == [str(s) for s in plans[1].shortages]
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        lambda unit: om.Economic(0.1 / unit**2, 0.2 / unit**2),
+        lambda unit: om.StateOfChargeTracking(0.9, 30.0 / unit**2),
+        lambda unit: om.SetpointTracking(
+            om.Setpoints({"cheap.pg": 70.0, "tank.ps": 1.0}), 2 / unit**2, 1 / unit**2
+        ),
+        lambda unit: om.LinearQuadratic(
+            {"pg": 2 / unit**2}, {"ps": 1 / unit**2}, {"pg": 30 / unit}, {"ps": 4 / unit}
+        ),
+    ],
+    ids=["economic", "state of charge", "set-points", "linear-quadratic"],
+)
+def test_weights_are_in_per_unit_on_the_declared_base(objective) -> None:
+    plans = [
+        om.MultiStage(
+            rebased(everything(), base), 3, objective=objective(50 / base), profiles=demand(3)
+        ).solve()
+        for base in (50, 100, 2)
+    ]
+    assert plans[0].objective > 0.1
+    for plan in plans[1:]:
+        assert plan.objective == pytest.approx(plans[0].objective, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("base_mva", "absurd"), [(1e-4, True), (0.01, True), (1, False), (1e6, False), (1e8, True)]
+)
+def test_a_base_that_does_not_suit_the_system_is_noted(base_mva: float, absurd: bool) -> None:
+    notes = om.MultiStage(rebased(two_bus(), base_mva)).notes
+    assert any(f"base_mva = {base_mva:g} for a system of 200 MW" in note for note in notes) is absurd
+
+
+@pytest.mark.parametrize(
+    ("capacity", "scale_mva"),
+    [(0.0, 100), (0.05, 0.01), (9.9, 1), (10, 10), (999, 100), (3e5, 100), (np.inf, 10)],
+)
+def test_the_scale_of_a_system(capacity: float, scale_mva: float) -> None:
+    grid = om.Network("scale", base_mva=7)
+    grid.bus = om.Bus()
+    grid.unit = om.Generator("bus", p=(0, capacity))
+    if np.isinf(capacity):
+        grid.town = om.Load("bus", p=40)
+    assert grid.scale_mva == pytest.approx(scale_mva)
 
 
 def test_an_unknown_bus_is_named(grid: om.Network) -> None:

@@ -32,8 +32,8 @@ class Objective:
     convex
         Whether the cost is convex in the quantities that it reads.
     regularisation
-        Default weight, in $/(h p.u.²), of the squares of storage power that a plan adds to make
-        the problem well posed. It never counts in a reported cost.
+        Default weight, in $/h, of the squares of storage power that a plan adds to make the problem well
+        posed; in per unit on the scale of the system, whatever its base. It never counts in a reported cost.
     """
 
     needs: tuple[str, ...] = ()

@@ -24,8 +24,8 @@ class Economic(Objective):
     Parameters
     ----------
     reactive_weight, energy_weight
-        :math:`w_q` and :math:`w_e` in $/(h p.u.²). The reactive term is left out by formulations
-        without reactive power.
+        :math:`w_q` and :math:`w_e` in $/(h p.u.²), on the network's ``base_mva``. The reactive term is
+        left out by formulations without reactive power.
     """
 
     needs = ("pg",)
@@ -37,9 +37,9 @@ class Economic(Objective):
 
     def stage_cost(self, stage: Stage) -> Any:
         """Operating cost plus the small quadratic terms."""
-        cost = stage.operating_cost
+        cost, unit = stage.operating_cost, stage.network.rebased**2
         if self.reactive_weight and stage.has("qg"):
-            cost = cost + self.reactive_weight * total(stage.generator.qg**2)
+            cost = cost + self.reactive_weight * unit * total(stage.generator.qg**2)
         if self.energy_weight and stage.has("e"):
-            cost = cost + self.energy_weight * total(stage.storage.e**2)
+            cost = cost + self.energy_weight * unit * total(stage.storage.e**2)
         return cost

@@ -23,7 +23,7 @@ _INPUTS = {"ps": "storage", "qs": "storage"}
 
 
 class LinearQuadratic(Objective):
-    r"""Linear-quadratic cost of states and inputs in per unit.
+    r"""Linear-quadratic cost of states and inputs, in per unit on the network's ``base_mva``.
 
     .. math::
         \ell(x, u) = x^T Q x + u^T R u + q^T x + r^T u
@@ -86,14 +86,15 @@ def _terms(symbol: str, weights: Any, kinds: Mapping[str, str], stage: Stage) ->
         return []
     sizes = {name: len(stage.network.tables[kind]) for name, kind in kinds.items()}
     values = {name: getattr(getattr(stage, kind), name) for name, kind in kinds.items() if stage.has(name)}
+    unit = stage.network.rebased
     if symbol in ("q", "r"):
         vectors = _vectors(symbol, weights, sizes)
-        return [total(w[:, None] * values[name]) for name, w in vectors.items() if w.any()]
+        return [total(unit * w[:, None] * values[name]) for name, w in vectors.items() if w.any()]
     terms = []
     for (one, other), block in _blocks(symbol, weights, sizes).items():
         i, j = np.nonzero(block)
         if i.size:
-            terms.append(total(block[i, j][:, None] * values[one][i] * values[other][j]))
+            terms.append(total(unit**2 * block[i, j][:, None] * values[one][i] * values[other][j]))
     return terms
 
 

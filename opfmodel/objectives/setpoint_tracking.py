@@ -97,9 +97,9 @@ class SetpointTracking(Objective):
         \ell_t = q \left( \|p^g - p^g_s\|^2 + \|q^g - q^g_s\|^2 + \|e - e_s\|^2 \right)
                + r \left( \|p^s - p^s_s\|^2 + \|q^s - q^s_s\|^2 \right)
 
-    in per unit. Only what has a set-point is followed; reactive power only by formulations that
-    have it. Source: Faulwasser and Engelmann (2019), section 5, with :math:`Q = I, R = 0.1` and
-    the sequence of single-stage optima.
+    in per unit on the network's ``base_mva``. Only what has a set-point is followed; reactive power
+    only by formulations that have it. Source: Faulwasser and Engelmann (2019), section 5, with
+    :math:`Q = I, R = 0.1` and the sequence of single-stage optima.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class SetpointTracking(Objective):
 
     def stage_cost(self, stage: Stage) -> Any:
         """Weighted squares of the distances."""
-        cost = None
+        cost, unit = None, stage.network.rebased**2
         for quantity, array in self.setpoints.arrays(stage.network).items():
             if not stage.has(quantity):
                 continue
@@ -138,7 +138,7 @@ class SetpointTracking(Objective):
             of = getattr(stage, _KINDS[quantity])
             distance = getattr(of, quantity)[followed] - getattr(of, f"{quantity}_setpoint")[followed]
             weight = self.state_weight if quantity in ("pg", "qg", "e") else self.input_weight
-            term = weight * total(distance**2)
+            term = weight * unit * total(distance**2)
             cost = term if cost is None else cost + term
         return cost
 

@@ -19,8 +19,9 @@ class StateOfChargeTracking(Objective):
     .. math::
         \ell_b = c \sum_s (e_s - \sigma\, \bar e_s)^2
 
-    with energies in p.u.·h. Generation is left undetermined, which is the point of the comparison
-    in Faulwasser and Engelmann (2019), section 5; several dispatches have the same cost.
+    with energies in p.u.·h on the network's ``base_mva``. Generation is left undetermined, which is the
+    point of the comparison in Faulwasser and Engelmann (2019), section 5; several dispatches have the
+    same cost.
 
     Parameters
     ----------
@@ -41,4 +42,5 @@ class StateOfChargeTracking(Objective):
     def stage_cost(self, stage: Stage) -> Any:
         """Weighted squares of the distances at the start of the stage."""
         storage = stage.storage
-        return self.weight * total((storage.e - self.share * storage.energy) ** 2)
+        weight = self.weight * stage.network.rebased**2
+        return weight * total((storage.e - self.share * storage.energy) ** 2)

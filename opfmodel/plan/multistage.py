@@ -69,8 +69,9 @@ class MultiStage:
     end
         What is asked of stored energy at the end; see :class:`End`.
     regularisation
-        Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed
-        and is not part of any reported cost. By default the objective's own.
+        Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed and is not
+        part of any reported cost. Per unit is on :attr:`Network.scale_mva`, 100 MVA or less, and not on the
+        base that impedances are declared on. By default the objective's own.
     elastic
         Prices at which limits give way, so that there is always a solution; see :class:`Elastic`.
         By default every limit is hard.

@@ -293,7 +293,7 @@ class Redispatch(_ACPlant):
     def _make(self, plan: Plan) -> MultiStage:
         wanted = list(dict.fromkeys([*_ALWAYS, *_set_points(plan)]))
         reactive = (*_ALWAYS[1::2], *(k for k in _set_points(plan) if _unit(plan, k) == "MVAr"))
-        base = plan.problem.network.base_mva
+        base = plan.problem.arrays.base_mva
         prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
         # what is stored is worth a little, or a lossy store would charge and discharge at once
         end = End(price=0.01 * self.price)

@@ -95,7 +95,7 @@ def changes(
 
 def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
     """The measured quantities of a run in a few numbers; empty if nothing was measured."""
-    base, hours = problem.network.base_mva, problem.step
+    base, hours = problem.arrays.base_mva, problem.step
     made: dict[str, Any] = {}
     named = {name: (kind, name) for step in steps for kind, name in step.values if name in DESCRIBED}
     for key, names in (

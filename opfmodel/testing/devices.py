@@ -97,7 +97,7 @@ def _check_component(rules: Contract, device: Device, example: Component) -> Non
 
 def _grid(example: Component) -> Network:
     """A grid of two buses that serves anything, with the example at one of them."""
-    grid = Network("device", base_mva=20)
+    grid = Network("device", base_mva=100)
     grid.add("north", Bus(reference=True))
     grid.add("south", Bus())
     grid.add("line", Branch("north", "south", r=0.001, x=0.01))

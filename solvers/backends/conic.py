@@ -23,7 +23,15 @@ __all__ = ["Conic"]
 _PREFERRED = ("clarabel", "mosek", "ecos", "scs")
 _DEFAULTS: dict[str, dict[str, Any]] = {
     "clarabel": {},
-    "scs": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 100_000},
+    # Measured on twenty DC and SOC problems: SCS's own acceleration never comes to an end on two of them,
+    # without it and with this scale all are solved, in 50 to 4,000 iterations.
+    "scs": {
+        "eps_abs": 1e-7,
+        "eps_rel": 1e-7,
+        "max_iters": 100_000,
+        "scale": 10.0,
+        "acceleration_lookback": 0,
+    },
 }
 _TERMINATION = {
     "optimal": TerminationCondition.CONVERGED,
