@@ -385,7 +385,7 @@ class Model:
                 before = self.build.parameter(f"{name}_previous", ramped.size)
                 self.rows(
                     kind, f"{name}_ramp_first", moving[:, :1] - before,
-                    lambda t: _first(floor(t)), lambda t: _first(limit(t)), soft,
+                    lambda t: floor(t)[:, :1], lambda t: limit(t)[:, :1], soft,
                 )  # fmt: skip
                 self.price(
                     kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
@@ -594,7 +594,7 @@ class Model:
         return (
             self.parameter(kind, field)
             if (kind, field) in self._series
-            else _field(self.network.tables[kind], field)
+            else self.network.tables[kind].arrays.get(field)
         )
 
     def parameter(self, kind: str, field: str) -> Expression:
@@ -602,7 +602,7 @@ class Model:
         if (kind, field) not in self._fields:
             table = self.network.tables[kind]
             name = f"{kind}.{field}"
-            value = np.asarray(table.arrays[field])[:, None]
+            value = table.arrays[field]
             self._fields[kind, field] = self.build.parameter(name, len(table), self.stages, value)
             self.parameters[name] = (kind, field)
         return self._fields[kind, field]
@@ -686,7 +686,7 @@ class NumericStage:
 
         def get(name: str) -> Any:
             value = self.values.get((kind, name))
-            return _field(table, name) if value is None else value
+            return table.arrays.get(name) if value is None else value
 
         names = [n for k, n in self.values if k == kind]
         return Quantities(kind, get, lambda: [*names, *table.arrays])
@@ -709,13 +709,6 @@ def _sum_costs(devices: Iterable[Device], stage: Any) -> Any:
     return result
 
 
-def _field(table: Table, name: str) -> Any:
-    array = table.arrays.get(name)
-    if array is None or array.ndim != 1 or array.dtype.kind != "f":
-        return array
-    return array[:, None]
-
-
 def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
     """Numbers of a bound: of a field, a function of the table, or as given."""
     if isinstance(bound, str):
@@ -723,19 +716,9 @@ def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
     return np.asarray(bound(table) if callable(bound) else bound)
 
 
-def _first(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Of the first stage, where values differ between stages."""
-    return values[:, :1] if values.ndim == 2 else values
-
-
 def _roots(bound: Bound) -> Callable[[Table], Array]:
-    """Square roots of the values of a bound, one column per stage where they change."""
-
-    def roots(table: Table) -> Array:
-        values = np.sqrt(_resolve(table, bound))
-        return np.asarray(values[:, None] if values.ndim == 1 else values)
-
-    return roots
+    """Square roots of the values of a bound."""
+    return lambda table: np.sqrt(_resolve(table, bound))
 
 
 def _middle(lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[Any]:

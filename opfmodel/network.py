@@ -35,10 +35,10 @@ _SMALLEST, _LARGEST = 1e-5, 1e4
 class Table:
     """All components of one kind as arrays in per unit; fields are attributes.
 
-    A span field ``p`` gives ``p_min`` and ``p_max``; a field that names a bus gives positions of
-    buses; a cost gives ``c2``, ``c1``, ``c0`` and, for piecewise-linear costs, the segments
-    ``segment_owner``, ``segment_slope``, ``segment_offset``. A field with a time series has shape
-    ``(items, stages)``, any other ``(items,)``.
+    A quantity has the shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
+    gives ``p_min`` and ``p_max``; a cost gives ``c2``, ``c1``, ``c0`` and, for piecewise-linear costs, a
+    row per segment in ``segment_slope`` and ``segment_offset``. What is no quantity is a vector: positions
+    of buses (``bus``), of the owners of segments (``segment_owner``), and flags.
 
     Attributes
     ----------
@@ -67,10 +67,6 @@ class Table:
     def position(self) -> dict[str, int]:
         """Position of each component by name."""
         return {name: i for i, name in enumerate(self.names)}
-
-    def physical(self, field: str) -> npt.NDArray[Any]:
-        """A field in its physical unit."""
-        return np.asarray(self.arrays[field] * scale(self.units[field], self.base_mva))
 
     def with_series(self, series: Mapping[str, Array]) -> Table:
         """The table with some fields replaced by time series in per unit, ``(items, stages)``."""
@@ -295,11 +291,11 @@ def _table(
         factor = scale(unit, base_mva, declared_mva)
         if form == "number":
             plain = [np.inf if v is None else v for v in values]
-            arrays[key], units[key] = np.array(plain, dtype=float) / factor, unit
+            arrays[key], units[key] = _column(plain) / factor, unit
         elif form == "span":
             pairs = [v if isinstance(v, tuple | list) else (-v, v) for v in values]
             ends = np.array(pairs, dtype=float).reshape(-1, 2) / factor
-            arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, 0].copy(), ends[:, 1].copy()
+            arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1].copy(), ends[:, 1:].copy()
             units[f"{key}_min"] = units[f"{key}_max"] = unit
         elif form == "flag":
             arrays[key], units[key] = np.array(values, dtype=bool), ""
@@ -322,13 +318,18 @@ def _cost_arrays(costs: list[components.Cost], base_mva: float) -> dict[str, npt
     ]
     lines = np.array(segments, dtype=float).reshape(-1, 3)
     return {
-        "c2": np.array([p.c2 for p in polynomials], dtype=float) * base_mva**2,
-        "c1": np.array([p.c1 for p in polynomials], dtype=float) * base_mva,
-        "c0": np.array([p.c0 for p in polynomials], dtype=float),
+        "c2": _column([p.c2 for p in polynomials]) * base_mva**2,
+        "c1": _column([p.c1 for p in polynomials]) * base_mva,
+        "c0": _column([p.c0 for p in polynomials]),
         "segment_owner": lines[:, 0].astype(np.intp),
-        "segment_slope": lines[:, 1] * base_mva,
-        "segment_offset": lines[:, 2].copy(),
+        "segment_slope": lines[:, 1:2] * base_mva,
+        "segment_offset": lines[:, 2:].copy(),
     }
+
+
+def _column(values: list[float]) -> Array:
+    """One value per item, ``(items, 1)``."""
+    return np.array(values, dtype=float).reshape(-1, 1)
 
 
 def _listing(names: list[str]) -> str:

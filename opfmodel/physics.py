@@ -17,7 +17,6 @@ __all__ = [
     "branch_flow",
     "polar_products",
     "rectangular_products",
-    "storage_split",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -122,21 +121,3 @@ def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[
     pt = y.g_tt * w_t + y.g_tf * w_r - y.b_tf * w_i
     qt = -y.b_tt * w_t - y.b_tf * w_r - y.g_tf * w_i
     return pf, qf, pt, qt
-
-
-def storage_split(
-    power: Array, stored: Array, charge_efficiency: Array, discharge_efficiency: Array
-) -> tuple[Array, Array]:
-    r"""Charging and discharging power of a lossy store from its net power and what it stored.
-
-    Solves :math:`p = p^c - p^d`, :math:`s = \eta_c p^c - p^d / \eta_d`.
-
-    Parameters
-    ----------
-    power, stored
-        Net power drawn and rate of change of the energy before standing losses, p.u.
-    charge_efficiency, discharge_efficiency
-        With a product below 1; a lossless store has no unique split.
-    """
-    discharge = (charge_efficiency * power - stored) / (1.0 / discharge_efficiency - charge_efficiency)
-    return power + discharge, discharge

@@ -68,9 +68,7 @@ def dataset(
 
 def _demand(network: PerUnitNetwork, field: str, stages: int) -> Array:
     values = network.load.arrays[field]
-    if values.ndim == 1:
-        values = np.repeat(values[:, None], stages, axis=1)
-    return network.at_buses("load", values)
+    return network.at_buses("load", np.broadcast_to(values, (len(values), stages)))
 
 
 def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> None:

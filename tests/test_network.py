@@ -21,22 +21,28 @@ from opfmodel.physics import branch_admittance, branch_flow, polar_products
 def test_quantities_are_in_per_unit(rich_grid: om.Network) -> None:
     arrays = per_unit(rich_grid)
     assert (arrays.base_mva, arrays.declared_mva) == (100, 50)  # its size decides, not the declared base
-    assert_allclose(arrays.generator.p_max, [0.6, 0.5])
-    assert_allclose(arrays.generator.ramp, [0.15, np.inf])
-    assert_allclose(arrays.generator.c2, [0.02 * 100**2, 0])
-    assert_allclose(arrays.generator.c1, [12 * 100, 0])
-    assert_allclose(arrays.generator.segment_slope, [25 * 100, 40 * 100])
+    assert_allclose(arrays.generator.p_max[:, 0], [0.6, 0.5])
+    assert_allclose(arrays.generator.ramp[:, 0], [0.15, np.inf])
+    assert_allclose(arrays.generator.c2[:, 0], [0.02 * 100**2, 0])
+    assert_allclose(arrays.generator.c1[:, 0], [12 * 100, 0])
+    assert_allclose(arrays.generator.segment_slope[:, 0], [25 * 100, 40 * 100])
     assert arrays.generator.segment_owner.tolist() == [1, 1]
-    assert_allclose(arrays.storage.power_min, [-0.12, -0.06])
-    assert_allclose(arrays.storage.initial, [0.15, (3 + 30) / 2 / 100])
-    assert_allclose(arrays.branch.x[:2], [0.16, 0.10])
+    assert_allclose(arrays.storage.power_min[:, 0], [-0.12, -0.06])
+    assert_allclose(arrays.storage.initial[:, 0], [0.15, (3 + 30) / 2 / 100])
+    assert_allclose(arrays.branch.x[:2, 0], [0.16, 0.10])
     assert_allclose(arrays.branch.b[2], 0.1)
     assert_allclose(arrays.branch.b_from[2], 0.005)
     assert_allclose(arrays.branch.shift[1], np.deg2rad(3))
     assert_allclose(arrays.branch.angle_max[0], np.deg2rad(25))
-    assert_allclose(arrays.branch.rating, [0.6, 0.7, np.inf, 0.4])
+    assert_allclose(arrays.branch.rating[:, 0], [0.6, 0.7, np.inf, 0.4])
     assert arrays.load.bus.tolist() == [1, 3, 2]
-    assert_allclose(100 * arrays.load.p, [40, 25, -6])
+    for table in arrays.tables.values():
+        for field, unit in table.units.items():
+            shape = (len(arrays.generator.segment_owner), 1) if "segment" in field else (len(table), 1)
+            quantity = table.arrays[field].dtype.kind == "f"
+            assert quantity or not unit
+            assert table.arrays[field].shape == (shape if quantity else shape[:1]), field
+    assert_allclose(100 * arrays.load.p[:, 0], [40, 25, -6])
 
 
 def rebased(grid: om.Network, base_mva: float) -> om.Network:

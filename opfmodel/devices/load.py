@@ -50,7 +50,7 @@ class LoadDevice(Device):
 
         def lacks_reactive(least: Solution, network: PerUnitNetwork) -> npt.NDArray[np.bool_]:
             worth = [
-                -least.dual(rows)[model.zones[table.bus]] * _columns(network.load.arrays[field])
+                -least.dual(rows)[model.zones[table.bus]] * network.load.arrays[field]
                 for rows, field in (("p_balance", "p"), ("q_balance", "q"))
             ]
             return np.asarray(worth[1] > worth[0])
@@ -60,8 +60,3 @@ class LoadDevice(Device):
 
         model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below, counts=lacks_active)
         model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, soft_q.below, counts=lacks_reactive)
-
-
-def _columns(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """``(items,)`` as ``(items, 1)``."""
-    return values[:, None] if values.ndim == 1 else values

@@ -59,7 +59,7 @@ class StorageDevice(Device):
         if gone.size:
             first = gone[0]
             raise ModelError(
-                f"{table.names[first]}: standing_loss = {table.standing_loss[first]:g}: loses more than "
+                f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
                 f"there is within a stage of {step:g} h; it must be at most {1.0 / step:g} per hour"
             )
         change = e[:, 1:] - kept * e[:, :-1]
@@ -98,14 +98,9 @@ class StorageDevice(Device):
 
 def _lowest(table: Table) -> Array:
     """Least charging power where there is no reactive power to share the rating with."""
-    return np.maximum(_columns(table.power_min), -_columns(table.rating))
+    return np.asarray(np.maximum(table.power_min, -table.rating))
 
 
 def _highest(table: Table) -> Array:
     """Largest charging power where there is no reactive power to share the rating with."""
-    return np.minimum(_columns(table.power_max), _columns(table.rating))
-
-
-def _columns(values: Array) -> Array:
-    """``(items,)`` as ``(items, 1)``, so that it combines with a time series."""
-    return values[:, None] if values.ndim == 1 else values
+    return np.asarray(np.minimum(table.power_max, table.rating))

@@ -39,10 +39,10 @@ class ACRectangular(Formulation):
         """Declare ``vr``, ``vi`` and the branch flows; publish ``vm`` and ``va``."""
         network = model.network
         bus, branch = network.bus, network.branch
-        reference = np.zeros(len(bus), dtype=bool)
+        reference = np.zeros((len(bus), 1), dtype=bool)
         reference[network.reference] = True
         start = np.clip(1.0, bus.vm_min, bus.vm_max)
-        most = bus.vm_max if model.elastic is None else np.full(len(bus), np.inf)
+        most = bus.vm_max if model.elastic is None else np.full((len(bus), 1), np.inf)
         vr = model.variable(
             "bus", "vr", np.where(reference, 0.0, -most), most, unit="p.u.", start=start, publish=False
         )

@@ -74,7 +74,7 @@ def shunts(model: Model, vm_squared: Expression | float) -> None:
     shunt = model.network.shunt
     if not len(shunt):
         return
-    at = vm_squared[shunt.bus] if isinstance(vm_squared, Expression) else np.full(len(shunt), vm_squared)
+    at = vm_squared[shunt.bus] if isinstance(vm_squared, Expression) else vm_squared
     p, q = -shunt.g * at, shunt.b * at
     model.inject(shunt.bus, p=model.build.expression(p), q=model.build.expression(q))
 
@@ -126,7 +126,7 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
                 slope = solution.dual("rating_from") + solution.dual("rating_to")
                 rating: Array = network.branch.rating[members]
-                return slope * 2.0 * (rating if rating.ndim == 2 else rating[:, None])
+                return slope * 2.0 * rating
 
             price_rating(model, members, read)
         model.build.add(terms, into=rows)
@@ -189,8 +189,8 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
     if wide.size:
         first = wide[0]
         raise ModelError(
-            f"{branch.names[members[first]]}: angle = ({np.rad2deg(low[first]):g}, "
-            f"{np.rad2deg(high[first]):g}): limits "
+            f"{branch.names[members[first]]}: angle = ({np.rad2deg(low[first, 0]):g}, "
+            f"{np.rad2deg(high[first, 0]):g}): limits "
             "more than 180 degrees apart cannot be stated in products of voltages; "
             "tighten them, or drop them by (-360, 360)"
         )

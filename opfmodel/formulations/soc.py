@@ -140,8 +140,8 @@ class _Neighbours:
         ends = np.column_stack([branch.from_bus, branch.to_bus])
         pairs, pair = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
         pair = pair.ravel()
-        along = ends[:, 0] <= ends[:, 1]
-        low, high = np.full(len(pairs), -np.pi), np.full(len(pairs), np.pi)
+        along = (ends[:, 0] <= ends[:, 1])[:, None]
+        low, high = np.full((len(pairs), 1), -np.pi), np.full((len(pairs), 1), np.pi)
         np.maximum.at(low, pair, np.where(along, branch.angle_min, -branch.angle_max))
         np.minimum.at(high, pair, np.where(along, branch.angle_max, -branch.angle_min))
         return cls(pairs[:, 0], pairs[:, 1], pair, np.where(along, 1.0, -1.0), low, high)

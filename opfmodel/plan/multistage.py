@@ -283,7 +283,7 @@ class MultiStage:
 
     def declare(self) -> Model:
         """What formulation and devices declare, without objective and constraints; not kept."""
-        own = {key: values[:, 0] for key, values in self._objective_series.items()}
+        own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
             self.arrays.with_series({**self.profiles.widest(self.arrays), **own}),
             self.horizon,
@@ -476,7 +476,7 @@ class MultiStage:
                 if values is not None:
                     values = values / scale(state.unit, table.base_mva)
             else:
-                values = table.arrays[state.initial] if state.initial else None
+                values = table.arrays[state.initial][:, 0] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
             numbers.end_with(state.name, end)
         for name, own in self._constraints.items():

@@ -39,11 +39,10 @@ class Numbers:
     def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
         """Bounds of a stage hold at its end; the first point of a stock has those of the first stage."""
         stages = (self.program.variables.get(name) or self.program.rows[name]).stages
-        if values.ndim == 2 and values.shape[1] == stages - 1:
+        given = values.shape[-1] if values.ndim == 2 else 1
+        if 1 < given == stages - 1:
             return np.hstack([values[:, :1], values])
-        if values.ndim == 2 and values.shape[1] > stages:
-            return np.asarray(values[:, -stages:])
-        return values
+        return np.asarray(values[:, -stages:]) if given > stages else values
 
     def _bounds(self, name: str) -> tuple[Array, Array]:
         """Bounds of a block as arrays that can be changed."""

@@ -69,10 +69,6 @@ class Profiles:
         """Number of time steps that every series covers; None if there are no series."""
         return min((len(v) for v in self.series.values()), default=None)
 
-    def merged(self, other: Profiles) -> Profiles:
-        """These profiles, overridden by ``other``."""
-        return Profiles({**self.series, **other.series})
-
     def without(self, components: Iterable[str]) -> Profiles:
         """These profiles without those of some components."""
         left_out = set(components)
@@ -143,7 +139,7 @@ class Profiles:
             refuse(crossed, f"at {'most' if below else 'least'} {other} =", ends)
 
     def widest(self, network: PerUnitNetwork) -> dict[tuple[str, str], Array]:
-        """Limits that contain those of every step, per unit ``(items,)`` by ``(kind, field)``.
+        """Limits that contain those of every step, per unit ``(items, 1)`` by ``(kind, field)``.
 
         A program is stated with them, so that it has a row for whatever is limited at some step
         and no bound that cuts off another. A limit that is absent from some steps only counts by
@@ -187,7 +183,7 @@ class Profiles:
             kind, position = self._find(network, name)
             table = network.tables[kind]
             if (kind, key) not in out:
-                out[kind, key] = np.repeat(table.arrays[key][:, None], stages, axis=1).astype(float)
+                out[kind, key] = np.repeat(table.arrays[key], stages, axis=1)
             factor = scale(table.units[key], network.base_mva)
             out[kind, key][position] = values[start : start + stages] / factor
         return out

@@ -134,7 +134,7 @@ class Controller:
         expected = self.forecast.expected(problem.profiles, time, problem.horizon)
         window = expected.window(problem.arrays, 0, problem.horizon)
         if ("generator", "p_max") in window:  # a unit that runs can at least do that
-            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min[:, None])
+            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min)
             window["generator", "p_max"] = np.maximum(window["generator", "p_max"], least)
         return window
 

@@ -168,7 +168,7 @@ class _ACPlant:
         state = plan.next_state(values)
         if plan.problem.generator_delay == 0 and "pg" in state:
             table = network.generator
-            low, high = (_columns(table.arrays[field])[:, 0] for field in ("p_min", "p_max"))
+            low, high = (table.arrays[field][:, 0] for field in ("p_min", "p_max"))
             state["pg"] = np.clip(state["pg"], low * network.base_mva, high * network.base_mva)
         return state
 
@@ -211,7 +211,7 @@ class PowerFlow(_ACPlant):
         """
         table = network.generator
         if self.participation is None:
-            factors = np.clip(table.p_max, 0.0, _WIDE)
+            factors = np.clip(table.p_max[:, 0], 0.0, _WIDE)
         else:
             for name in self.participation:
                 if name not in table.position:
@@ -245,8 +245,8 @@ class PowerFlow(_ACPlant):
             planned = planned | {_SHARE: plan.solution.value(_SHARE[1])[:, 0]}
         window = self._set_points.targets(network, planned)
         held = window["generator", "pg_set"]
-        window["generator", "pg_set"] = np.minimum(held, _columns(network.generator.p_max))
-        low, high = _columns(network.bus.vm_min), _columns(network.bus.vm_max)
+        window["generator", "pg_set"] = np.minimum(held, network.generator.p_max)
+        low, high = network.bus.vm_min, network.bus.vm_max
         at = np.unique(network.generator.bus)
         wanted = plan.quantities().get(("bus", "vm"), np.ones((len(network.bus), 1)))[:, :1]
         least, most = np.full_like(wanted, _LEAST_VM), np.full_like(wanted, _MOST_VM)
@@ -374,7 +374,7 @@ class _HeldGenerators(Device):
         pg = model.parameter("generator", "pg_set") + self.shares * slack[network.island[table.bus]]
         at, which = np.unique(table.bus, return_inverse=True)
         extra = model.build.variable("slack_q", at.size, model.stages)
-        shares = _divide(np.minimum(table.q_max - table.q_min, _WIDE), which)
+        shares = _divide(np.minimum(table.q_max - table.q_min, _WIDE)[:, 0], which)
         qg = model.parameter("generator", "qg_set") + shares * extra[which]
         model.publish("generator", "pg", pg, unit="MW", description="active generation")
         model.publish("generator", "qg", qg, unit="MVAr", description="reactive generation")
@@ -427,16 +427,11 @@ def _unit(plan: Plan, key: Key) -> str:
 
 def _without_limits(network: PerUnitNetwork) -> Values:
     """Fields that leave the network without limits of its own."""
-    none = np.full(len(network.branch), np.inf)
+    none = np.full((len(network.branch), 1), np.inf)
     return {
         ("branch", "rating"): none,
         ("branch", "angle_min"): -none,
         ("branch", "angle_max"): none,
-        ("bus", "vm_min"): np.full(len(network.bus), _LEAST_VM),
-        ("bus", "vm_max"): np.full(len(network.bus), _MOST_VM),
+        ("bus", "vm_min"): np.full((len(network.bus), 1), _LEAST_VM),
+        ("bus", "vm_max"): np.full((len(network.bus), 1), _MOST_VM),
     }
-
-
-def _columns(values: Array) -> Array:
-    """``(items,)`` as ``(items, 1)``."""
-    return values[:, None] if values.ndim == 1 else values

@@ -126,4 +126,4 @@ def _outside(values: Array, table: Table, lower: str, upper: str) -> Array:
 def _now(table: Table, field: str) -> Array:
     """A field of the only stage of a table."""
     array: Array = table.arrays[field]
-    return array[:, 0] if array.ndim == 2 else array
+    return array[:, 0]
