@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from benchmarks.harness import arguments, measure, median, report, timed
-from benchmarks.systems import PGLIB, case118
+from benchmarks.systems import PGLIB, case118, demand
 
 DC = ("ipopt", "qp:clarabel", "qp:piqp", "qp:osqp", "qp:highs", "conic:clarabel")
 SOC = ("ipopt", "conic:clarabel", "conic:scs")
@@ -55,15 +53,13 @@ def pypsa_118(horizon: int) -> dict[str, Any]:
     except ImportError as error:
         return {"error": f"skipped: {error.name} is not installed (pip install pypsa)"}
     from opfmodel.network import per_unit
-    from opfmodel.profiles import Profiles
 
     network, series = case118(horizon + 1)
     _linearise(network)
     arrays = per_unit(network)
-    window = arrays.with_series(Profiles.of(series).window(arrays, 0, horizon))
-    demand = np.asarray(window.at_buses("load", np.asarray(window.load.arrays["p"])))
-    solve_pypsa(pypsa_network(arrays, demand[:, :1]))
-    build_s, made = timed(lambda: pypsa_network(arrays, demand))
+    active, _ = demand(arrays, series, 0, horizon)
+    solve_pypsa(pypsa_network(arrays, active[:, :1]))
+    build_s, made = timed(lambda: pypsa_network(arrays, active))
     first_s, result = timed(lambda: solve_pypsa(made))
     return {"build_s": build_s, "first_s": first_s, **result}
 

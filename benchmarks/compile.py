@@ -10,10 +10,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.harness import arguments, measure, median, report
-from benchmarks.systems import case118, pglib
+from benchmarks.systems import case118, demand, pglib
 
 
 def opfmodel_118(horizon: int) -> dict[str, Any]:
@@ -37,15 +35,13 @@ def plain_118(horizon: int, regularisation: float = 0.0) -> dict[str, Any]:
     """The plain recipe on the same arrays."""
     from benchmarks.plain import PlainProblem
     from opfmodel.network import per_unit
-    from opfmodel.profiles import Profiles
 
     network, series = case118(horizon)
     arrays = per_unit(network)
     began = time.perf_counter()
     problem = PlainProblem(arrays, horizon, regularisation=regularisation)
     compiled = time.perf_counter() - began
-    window = arrays.with_series(Profiles.of(series).window(arrays, 0, horizon))
-    pd, qd = (window.at_buses("load", np.asarray(window.load.arrays[key])) for key in ("p", "q"))
+    pd, qd = demand(arrays, series, 0, horizon)
     began = time.perf_counter()
     result = problem.solve(pd, qd)
     return {
@@ -64,12 +60,10 @@ def pyomo_118(horizon: int) -> dict[str, Any]:
     except ImportError as error:
         return {"error": f"skipped: {error.name} is not installed"}
     from opfmodel.network import per_unit
-    from opfmodel.profiles.series import Profiles
 
     network, series = case118(horizon)
     arrays = per_unit(network)
-    window = arrays.with_series(Profiles.of(series).window(arrays, 0, horizon))
-    pd, qd = (window.at_buses("load", np.asarray(window.load.arrays[key])) for key in ("p", "q"))
+    pd, qd = demand(arrays, series, 0, horizon)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.nl"
         began = time.perf_counter()

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pypsa
 
+from benchmarks.systems import vectors
 from opfmodel.network import PerUnitNetwork
 
 __all__ = ["pypsa_network", "solve_pypsa"]
@@ -25,6 +26,7 @@ def pypsa_network(network: PerUnitNetwork, demand: np.ndarray) -> pypsa.Network:
     demand
         Active demand at each bus in p.u., shape ``(buses, stages)``.
     """
+    network = vectors(network)
     base, bus, branch = network.base_mva, network.bus, network.branch
     gen, sto = network.generator, network.storage
     name = bus.names

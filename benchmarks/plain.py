@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from benchmarks.systems import vectors
 from opfmodel.network import PerUnitNetwork
 from opfmodel.physics import branch_flow
 
@@ -25,6 +26,7 @@ class PlainProblem:
     def __init__(  # noqa: PLR0915 - one piece, as such scripts are
         self, network: PerUnitNetwork, horizon: int, weight: float = 1e-3, regularisation: float = 0.0
     ) -> None:
+        network = vectors(network)
         bus, branch, gen, sto = network.bus, network.branch, network.generator, network.storage
         n, g, s = len(bus), len(gen), len(sto)
         self.horizon, self.n = horizon, n

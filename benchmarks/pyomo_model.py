@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pyomo.environ as pyo
 
+from benchmarks.systems import vectors
 from opfmodel.network import PerUnitNetwork
 from opfmodel.physics import branch_flow
 
@@ -21,6 +22,7 @@ __all__ = ["pyomo_model", "solve_file"]
 def pyomo_model(network: PerUnitNetwork, pd: np.ndarray, qd: np.ndarray, weight: float = 1e-3) -> Any:
     """State the problem of :class:`benchmarks.plain.PlainProblem` rule by rule, as Pyomo's users do."""
     n, horizon = pd.shape
+    network = vectors(network)
     bus, branch, gen, sto = network.bus, network.branch, network.generator, network.storage
     ends, at_gen, at_sto = [], _members(n, gen.bus), _members(n, sto.bus)
     ends = [_members(n, branch.from_bus), _members(n, branch.to_bus)]
@@ -84,7 +86,7 @@ def pyomo_model(network: PerUnitNetwork, pd: np.ndarray, qd: np.ndarray, weight:
     return m
 
 
-def _flow(network: PerUnitNetwork, m: Any, line: int, k: int) -> tuple[Any, Any, Any, Any]:
+def _flow(network: Any, m: Any, line: int, k: int) -> tuple[Any, Any, Any, Any]:
     f, t = int(network.branch.from_bus[line]), int(network.branch.to_bus[line])
     product, across = m.vm[f, k] * m.vm[t, k], m.va[f, k] - m.va[t, k]
     products = (m.vm[f, k] ** 2, m.vm[t, k] ** 2, product * pyo.cos(across), product * pyo.sin(across))

