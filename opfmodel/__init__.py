@@ -28,9 +28,9 @@ if TYPE_CHECKING:
         Shunt,
         Storage,
     )
-    from opfmodel.elastic import Elastic
     from opfmodel.errors import OpfmodelError
     from opfmodel.forecasts import Forecast
+    from opfmodel.model import Elastic
     from opfmodel.objectives.base import Objective
     from opfmodel.objectives.economic import Economic
     from opfmodel.objectives.linear_quadratic import LinearQuadratic
@@ -60,7 +60,7 @@ _HOMES = {
         "Shunt",
         "Storage",
     ),
-    "opfmodel.elastic": ("Elastic",),
+    "opfmodel.model": ("Elastic",),
     "opfmodel.errors": ("OpfmodelError",),
     "opfmodel.forecasts": ("Forecast",),
     "opfmodel.objectives.base": ("Objective",),

@@ -20,7 +20,7 @@ from opfmodel.errors import OpfmodelError
 if TYPE_CHECKING:
     from opfmodel.check import Report
     from opfmodel.comparison import Comparison
-    from opfmodel.elastic import Elastic
+    from opfmodel.model import Elastic
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
     from opfmodel.study import Outcome

@@ -65,7 +65,9 @@ class Plugin:
             raise PluginError(f"{where}: {type(error).__name__}: {error}") from error
         base: type[Any] = pkgutil.resolve_name(_BASES[self.sort])
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
-            raise PluginError(f"{where}: {loaded!r} is not a subclass of {base.__module__}.{base.__name__}")
+            raise PluginError(
+                f"{where}: {loaded!r} is not a subclass of {_BASES[self.sort].replace(':', '.')}"
+            )
         if self.sort in _NAMES:
             named: Any = loaded
             for part in _NAMES[self.sort].split("."):

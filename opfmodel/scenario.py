@@ -22,7 +22,6 @@ from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
 from opfmodel.documents import Document, check_name, read_document, validated
-from opfmodel.elastic import Elastic
 from opfmodel.errors import (
     CaseError,
     ComponentError,
@@ -38,6 +37,7 @@ from opfmodel.errors import (
 )
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
+from opfmodel.model import Elastic
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints

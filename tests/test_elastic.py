@@ -83,7 +83,7 @@ def test_voltages(formulation: str) -> None:
     assert not problem.solve().optimal
     plan = problem.elastic_twin().solve()
     (shortage,) = plan.shortages
-    assert str(shortage).endswith("p.u. over its largest voltage at hour 0")
+    assert str(shortage).endswith("p.u. over its maximum voltage at hour 0")
     assert shortage.worst == pytest.approx(check(grid, plan.data).violations["voltage"].value, rel=1e-4)
 
 

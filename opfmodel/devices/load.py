@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import Load
-from opfmodel.elastic import Slack
-from opfmodel.model import Device, Model
+from opfmodel.model import Device, Model, Side, Slack
 from opfmodel.network import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
@@ -43,7 +42,7 @@ class LoadDevice(Device):
         model.penalise(model.penalty(soft) * apparent * share)
         model.report("load", "p_unserved", active, unit="MW", description="active demand not served")
         if not model.reactive:
-            model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below)
+            model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, Side.BELOW)
             return
         model.report("load", "q_unserved", reactive, unit="MVAr", description="reactive demand not served")
         soft_q = model.soft_balance(table.bus, "MVAr", "shedding")
@@ -58,5 +57,5 @@ class LoadDevice(Device):
         def lacks_active(least: Solution, network: PerUnitNetwork) -> npt.NDArray[np.bool_]:
             return ~lacks_reactive(least, network)
 
-        model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, soft.below, counts=lacks_active)
-        model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, soft_q.below, counts=lacks_reactive)
+        model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, Side.BELOW, counts=lacks_active)
+        model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, Side.BELOW, counts=lacks_reactive)

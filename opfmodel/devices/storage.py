@@ -45,6 +45,9 @@ class StorageDevice(Device):
                 "storage", "qs", "q_min", "q_max", unit="MVAr", description="reactive power drawn"
             )
         model.inject(table.bus, p=-ps, q=None if qs is None else -qs)
+        for power in (ps, qs):
+            if power is not None:
+                model.regularise(power)
         if not n:
             return
         model.price(

@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.elastic import Soft
 from opfmodel.errors import ModelError
-from opfmodel.model import Model
+from opfmodel.model import Model, Soft
 from opfmodel.network import Array, Index, PerUnitNetwork, Table
 from solvers import Expression, Solution
 
@@ -205,18 +204,18 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
 def soft_voltage(model: Model, squared: bool = False) -> Soft:
     """How the voltage limits of all buses give way in an elastic problem."""
     buses = np.arange(len(model.network.bus))
-    below, above = "is {} below its least voltage", "is {} over its largest voltage"
-    return Soft(buses, "p.u.", below, above, squared=squared)
+    below, above = "is {} below its minimum voltage", "is {} over its maximum voltage"
+    return Soft("voltage", buses, "p.u.", below, above, squared=squared)
 
 
 def soft_rating(members: Index, squared: bool = False, ends: int = 2) -> Soft:
     """How the ratings of branches, stated at one end or both, give way in an elastic problem."""
-    phrase = "exceeds its rating by {}"
-    return Soft(members, "MVA", phrase, phrase, squared=squared, share=1.0 / ends)
+    sentence = "exceeds its rating by {}"
+    return Soft("rating", members, "MVA", sentence, sentence, squared=squared, share=1.0 / ends)
 
 
 def _soft_angle(members: Index) -> Soft:
-    return Soft(members, "deg", "is {} below its least angle", "is {} over its largest angle")
+    return Soft("angle", members, "deg", "is {} below its minimum angle", "is {} over its maximum angle")
 
 
 def _angle_limited(model: Model) -> Index:

@@ -16,7 +16,7 @@ from opfmodel.formulations.base import (
     shunts,
     soft_rating,
 )
-from opfmodel.model import Model
+from opfmodel.model import Model, Side
 from opfmodel.network import Index, PerUnitNetwork
 from opfmodel.physics import Array, branch_flow
 from solvers import Expression, Solution
@@ -84,7 +84,7 @@ class SOC(Formulation):
                 bound = rating
                 if model.elastic is not None:
                     soft = soft_rating(limited)
-                    bound = model.slack("branch", f"{name}_above", soft, soft.above) + rating
+                    bound = model.slack("branch", f"{name}_above", soft, Side.ABOVE) + rating
                 model.build.cone(name, bound, p[limited], q[limited])
 
             def read(solution: Solution, _: PerUnitNetwork) -> Array:

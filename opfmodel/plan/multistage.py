@@ -13,10 +13,9 @@ import numpy.typing as npt
 
 from opfmodel import plugins
 from opfmodel.components import Network
-from opfmodel.elastic import Elastic, Soft
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
-from opfmodel.model import Device, Model, Price, Published, Stage
+from opfmodel.model import Device, Elastic, Model, Price, Published, Soft, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
@@ -38,7 +37,6 @@ from solvers import (
     Start,
     Sum,
     prepare,
-    total,
 )
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
@@ -244,7 +242,9 @@ class MultiStage:
         """Unit and description of each published quantity."""
         model = self.model
         named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
-        slacks = {name: (s.soft.unit, s.phrase.format("so much")) for name, s in model.slacks.items()}
+        slacks = {
+            name: (s.soft.unit, s.soft.sentence(s.side).format("so much")) for name, s in model.slacks.items()
+        }
         injections = {i.name: (i.unit, i.description) for i in model.injections}
         return slacks | {name: (p.unit, p.description) for name, p in named.items()} | injections
 
@@ -292,6 +292,7 @@ class MultiStage:
             zones=self.formulation.zones(self.arrays),
             series={*self.profiles.fields(self.arrays), *own},
             elastic=self.elastic,
+            regularisation=self.regularisation,
         )
         self.formulation.declare(model)
         for device in self.devices:
@@ -349,15 +350,6 @@ class MultiStage:
         terminal = self.objective.terminal_cost(model)
         if terminal is not None:
             build.minimize(terminal)
-        if self.regularisation:
-            for name in ("ps", "qs"):
-                if model.has(name):
-                    build.minimize(self.regularisation * self.step * total(model.published[name].values ** 2))
-        price = build.parameter("end_price", 1)
-        for state in model.states.values():
-            if state.role == "stock":
-                last = model.published[f"{state.name}_next"].values[:, -1:]
-                build.minimize(-price * last)
 
     def _constrain(self, model: Model, name: str, own: OwnConstraint) -> None:
         try:
@@ -380,7 +372,15 @@ class MultiStage:
         rows = model.build.constrain(rows_of(name), stated)
         items, stages = rows.index.shape
         entries, timed = np.arange(items), stages == self.horizon
-        soft = Soft(entries, "", "is missed by {}", "is exceeded by {}", timed=timed)
+        soft = Soft(
+            "constraint",
+            entries,
+            "",
+            "is missed by {}",
+            "is exceeded by {}",
+            names=(name,) * items,
+            timed=timed,
+        )
         limits = (own.lower, own.upper) if own.limited else (stated.lower, stated.upper)
         model.soften("constraint", rows, soft, *limits)
         if stages != self.horizon:  # of some stages only: no price by stage

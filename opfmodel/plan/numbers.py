@@ -11,6 +11,7 @@ from opfmodel.errors import ModelError
 from opfmodel.model import Model
 from opfmodel.network import PerUnitNetwork
 from opfmodel.plan.end import End
+from opfmodel.units import scale
 from solvers import Instance, Program
 
 __all__ = ["Numbers"]
@@ -72,15 +73,17 @@ class Numbers:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End) -> None:
-        """State what is asked at the end of the horizon."""
-        if self.model.states[name].role == "stock":
+        """State what is asked of stored energy at the end of the horizon."""
+        state = self.model.states[name]
+        if state.is_energy:
             if end.cyclic:
                 lower, upper = self._bounds(f"{name}_cyclic")
                 lower[:] = upper[:] = 0.0
             if end.minimum > 0:
                 lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
                 lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
-            self.parameters["end_price"] = np.array([end.price * self.model.network.base_mva])
+            price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
+            self.parameters[f"{name}_end_price"] = np.array([price])
 
     def limit(self, rows: str, lower: Array, upper: Array) -> None:
         """Give rows their limits, one value per stage."""

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.elastic import Shortage, shortages
 from opfmodel.errors import ModelError
-from opfmodel.model import Model, NumericStage
+from opfmodel.model import Model, NumericStage, Shortage
+from opfmodel.model.elastic import shortages
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
 from solvers import Solution, SolutionStatus

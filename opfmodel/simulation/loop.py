@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.elastic import Elastic
 from opfmodel.errors import ModelError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.forecasts.perfect import Perfect
-from opfmodel.model import NumericStage
+from opfmodel.model import Elastic, NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.results import dataset

@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import Generator, Load, Storage
-from opfmodel.elastic import Elastic
 from opfmodel.errors import ModelError, nearest
-from opfmodel.model import Device, Model, Stage
+from opfmodel.model import Device, Elastic, Model, Stage
 from opfmodel.network import PerUnitNetwork, Table
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, MultiStage, Plan

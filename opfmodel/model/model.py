@@ -1,217 +1,29 @@
-"""What devices, formulations and objectives see: quantities by name, on symbols or on numbers.
-
-A :class:`Model` collects the declarations of one plan into a program. A :class:`NumericStage`
-offers the same quantities as arrays, so that the text of a cost is compiled for a solver and
-evaluated on a trajectory without being written twice.
-"""
+"""The builder of a problem: what devices, a formulation and an objective declare, as a program."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import BUILT_IN, Component
-from opfmodel.elastic import Elastic, Slack, Soft
-from opfmodel.errors import ModelError, QuantityError, nearest
+from opfmodel.components import BUILT_IN
+from opfmodel.errors import ModelError
+from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
+from opfmodel.model.device import Device
+from opfmodel.model.elastic import Elastic, Side, Slack, Soft
+from opfmodel.model.stage import Quantities, sum_of_costs
 from opfmodel.network import PerUnitNetwork, Table
-from solvers import Expression, ProgramBuilder, Rows, Solution, Sum
+from solvers import Expression, ProgramBuilder, Rows, Solution, Sum, total
 
-__all__ = [
-    "Bound",
-    "BoundSource",
-    "Device",
-    "Injection",
-    "Model",
-    "NumericStage",
-    "Price",
-    "Published",
-    "Quantities",
-    "Stage",
-    "State",
-]
+__all__ = ["Model"]
 
 _LEAST_BOUND = 0.1  # p.u.; smaller limits are priced like this one
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-Bound = str | float | npt.NDArray[Any] | Callable[[Table], npt.NDArray[Any]]
-
-
-class Quantities:
-    """The quantities and data of one kind of component, as attributes, in per unit.
-
-    ``stage.generator.pg`` is a quantity of shape ``(items, stages)``; ``stage.generator.c1`` is a
-    field of the network, of shape ``(items, 1)``, or ``(items, stages)`` if it has a time series.
-    """
-
-    def __init__(self, kind: str, get: Callable[[str], Any], names: Callable[[], Iterable[str]]) -> None:
-        self._kind = kind
-        self._get = get
-        self._names = names
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        value = self._get(name)
-        if value is None:
-            message = f"{self._kind} has no quantity {name!r} here; {nearest(name, self._names())}"
-            raise QuantityError(self._kind, name, message)
-        return value
-
-    def __contains__(self, name: str) -> bool:
-        return self._get(name) is not None
-
-    def __dir__(self) -> list[str]:
-        return list(self._names())
-
-
-class Stage(Protocol):
-    """What an objective, a device's cost or a user's constraint is a function of.
-
-    Attributes
-    ----------
-    network
-        The arrays of the network.
-    step
-        Length of a stage in hours.
-    """
-
-    network: PerUnitNetwork
-    step: float
-
-    def __getattr__(self, kind: str) -> Quantities:
-        """Quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
-        ...
-
-    def has(self, name: str) -> bool:
-        """Whether a quantity (``vm``, ``qg``, ...) is published."""
-        ...
-
-    @property
-    def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h: one value per stage."""
-        ...
-
-
-class Device:
-    """A kind of component that takes part in the power balance; one class in one file.
-
-    Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
-    variables with bounds, affine rows and cones, convex costs.
-
-    Attributes
-    ----------
-    component
-        The component class that declares such devices.
-    """
-
-    component: type[Component]
-
-    def declare(self, model: Model, table: Table) -> None:
-        """Declare variables, limits, injections and coupling in time for all components of the kind."""
-        raise NotImplementedError
-
-    def cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
-        """Operating cost in $/h, one value per stage, or None. Works on symbols and on numbers."""
-        return None
-
-
-@dataclass(frozen=True)
-class Published:
-    """A quantity that a plan reports and others may use.
-
-    Attributes
-    ----------
-    kind
-        Kind of component, which is also the dimension in results.
-    values
-        Expression of shape ``(items, stages)`` in per unit.
-    """
-
-    kind: str
-    unit: str
-    description: str
-    values: Expression
-
-
-@dataclass(frozen=True)
-class Price:
-    """A shadow price that plans report, read from the multipliers of a solution.
-
-    Attributes
-    ----------
-    read
-        Gives the price as an array ``(items, stages)`` in $ and per unit.
-    """
-
-    kind: str
-    unit: str
-    description: str
-    read: Callable[[Solution, PerUnitNetwork], Array]
-
-
-@dataclass(frozen=True)
-class Injection:
-    """Power that one kind of device feeds into the buses; several of a kind add up.
-
-    Attributes
-    ----------
-    output
-        Name of the program's output with the values, one row per entry of ``bus``.
-    """
-
-    name: str
-    unit: str
-    description: str
-    bus: Index
-    output: str
-
-    def at_buses(self, solution: Solution, network: PerUnitNetwork) -> Array:
-        """The power at each bus, ``(buses, stages)`` in per unit."""
-        values = solution.value(self.output)
-        total = np.zeros((len(network.bus), values.shape[1]))
-        np.add.at(total, self.bus, values)
-        return total
-
-
-@dataclass(frozen=True)
-class State:
-    """A quantity that one problem of a receding horizon hands to the next.
-
-    ``stock`` is carried from stage to stage by an equation and has one more point than there are
-    stages; ``dispatch`` is decided afresh, at most ``ramp`` per hour away from what it was.
-
-    Attributes
-    ----------
-    initial
-        Field with the value to start from where none is given.
-    ramped
-        Items that have a ramp limit.
-    """
-
-    name: str
-    kind: str
-    unit: str
-    role: Literal["stock", "dispatch"]
-    initial: str | None = None
-    ramped: Index | None = None
-
-
-@dataclass(frozen=True)
-class BoundSource:
-    """Where the bounds of a block come from, so that a time series reaches them in every solve."""
-
-    kind: str
-    lower: Bound
-    upper: Bound
-
-    def resolve(self, table: Table) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """The bounds as numbers."""
-        return _resolve(table, self.lower), _resolve(table, self.upper)
 
 
 class Model:
@@ -231,6 +43,8 @@ class Model:
         ``(kind, field)`` pairs that have time series.
     elastic
         Prices at which soft limits give way; None keeps every limit hard.
+    regularisation
+        Weight in $/(h p.u.²) of what devices ask to be regularised.
 
     Attributes
     ----------
@@ -250,8 +64,10 @@ class Model:
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
         elastic: Elastic | None = None,
+        regularisation: float = 0.0,
     ) -> None:
         self.network = network
+        self.regularisation = regularisation
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
         self.penalties: list[Expression] = []
@@ -325,7 +141,7 @@ class Model:
             the rows ``name_limit``, and the variable itself is only kept from changing its sign.
         """
         table = self.network.tables[kind]
-        low, high = (_resolve(table, bound) for bound in (lower, upper))
+        low, high = (resolved(table, bound) for bound in (lower, upper))
         if start is None:
             start = _middle(low, high)
         if soft is None or self.elastic is None:
@@ -374,7 +190,7 @@ class Model:
                 return limit(t, -1.0)
 
             soft = Soft(
-                ramped, unit,
+                "ramp", ramped, unit,
                 below="must fall {} faster than its ramp allows",
                 above="must rise {} faster than its ramp allows",
             )  # fmt: skip
@@ -418,11 +234,13 @@ class Model:
         """Declare a state with ``stages + 1`` points, whose first point is the initial value.
 
         The points at the start of each stage are published as ``name``, those at its end as
-        ``name_next``. Rows that tie the last point to the first are free unless a solve asks for
-        a cyclic end.
+        ``name_next``. Rows that tie the last point to the first are free unless a solve asks for a
+        cyclic end, and what is left at the end is worth nothing unless a solve gives it a price.
         """
         items = np.arange(len(self.network.tables[kind]))
-        soft = Soft(items, unit, "is {} below its minimum", "is {} over its capacity", "balance", first=-1)
+        soft = Soft(
+            "stock", items, unit, "is {} below its minimum", "is {} over its capacity", "balance", first=-1
+        )
         values = self.variable(
             kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False, soft=soft
         )
@@ -433,11 +251,12 @@ class Model:
         cyclic = self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf)
         self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
         end = Soft(
-            items, unit,
+            "cyclic end", items, unit,
             "ends {} short of where it began", "ends {} over where it began",
             "balance", first=self.stages - 1,
         )  # fmt: skip
         self.soften(kind, cyclic, end)
+        self.build.minimize(-self.build.parameter(f"{name}_end_price", 1) * values[:, -1:])
         self.states[name] = State(name, kind, unit, "stock", initial)
         return values
 
@@ -468,24 +287,27 @@ class Model:
         self, kind: str, name: str, items: int, stages: int, lower: Bound, upper: Bound, soft: Soft | None
     ) -> Rows:
         table = self.network.tables[kind]
-        low, high = _resolve(table, lower), _resolve(table, upper)
+        low, high = resolved(table, lower), resolved(table, upper)
         rows = self.build.rows(name, items, stages, low, high)
         self.bounds[name] = BoundSource(kind, lower, upper)
         if soft is not None:
             self.soften(kind, rows, soft, lower, upper)
         return rows
 
+    def regularise(self, values: Expression) -> None:
+        """Add a small multiple of the squares of a quantity to what is minimised, and to no reported cost.
+
+        It makes a problem well posed that leaves the quantity undetermined, at a weight that the objective
+        or the user chooses.
+        """
+        if self.regularisation:
+            self.build.minimize(self.regularisation * self.step * total(values**2))
+
     # Limits that give way ----------------------------------------------------------------
 
-    def slack(self, kind: str, name: str, soft: Soft, phrase: str, stages: int | None = None) -> Expression:
-        """Declare by how much limits are exceeded: a variable that an elastic problem pays for.
-
-        Parameters
-        ----------
-        phrase
-            What to say of it: ``soft.below`` or ``soft.above``.
-        """
-        return self._slack(Slack(name, kind, soft, phrase), stages or self.stages)
+    def slack(self, kind: str, name: str, soft: Soft, side: Side, stages: int | None = None) -> Expression:
+        """Declare by how much limits are exceeded on one side, which an elastic problem pays for."""
+        return self._slack(Slack(name, kind, soft, side), stages or self.stages)
 
     def soften(
         self,
@@ -508,11 +330,11 @@ class Model:
         if self.elastic is None:
             return
         below, above = names or (f"{rows.name}_below", f"{rows.name}_above")
-        for name, phrase, bound, sign in ((below, soft.below, lower, 1.0), (above, soft.above, upper, -1.0)):
+        for name, side, bound in ((below, Side.BELOW, lower), (above, Side.ABOVE, upper)):
             table = self.network.tables.get(kind, self.network.bus)  # bounds of constraints are numbers
-            if phrase and np.isfinite(_resolve(table, bound)).any():
-                slack = Slack(name, kind, soft, phrase, _roots(bound) if soft.squared else None)
-                self.build.add(sign * self._slack(slack, rows.index.shape[1]), into=rows)
+            if soft.sentence(side) and np.isfinite(resolved(table, bound)).any():
+                slack = Slack(name, kind, soft, side, _roots(bound) if soft.squared else None)
+                self.build.add(-side.value * self._slack(slack, rows.index.shape[1]), into=rows)
 
     def _slack(self, slack: Slack, stages: int) -> Expression:
         assert self.elastic is not None
@@ -550,8 +372,8 @@ class Model:
         _, first = np.unique(self.zones, return_index=True)
         noun = "bus" if len(first) == len(self.network.bus) else "island of bus"
         sort = " of reactive power" if unit == "MVAr" else ""
-        phrases = f"lacks {{}}{sort}", f"has {{}}{sort} too much"
-        return Soft(first[self.zones[bus]], unit, *phrases, price, noun=noun)
+        sentences = f"lacks {{}}{sort}", f"has {{}}{sort} too much"
+        return Soft("balance", first[self.zones[bus]], unit, *sentences, price, noun=noun)
 
     def inject(self, bus: Index, p: Expression | None = None, q: Expression | None = None) -> None:
         """Add power to the balance of buses, one entry of ``bus`` per row of ``p`` and ``q``.
@@ -649,76 +471,12 @@ class Model:
     @property
     def operating_cost(self) -> Any:
         """Sum of the costs of all devices, $/h."""
-        return _sum_costs(self.devices, self)
-
-
-class NumericStage:
-    """The quantities of a model as numbers, for metering costs.
-
-    Parameters
-    ----------
-    network
-        Arrays of the network, with the time series of the window put in.
-    step
-        Length of a stage in hours.
-    values
-        Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
-    devices
-        The devices whose costs count.
-    """
-
-    def __init__(
-        self,
-        network: PerUnitNetwork,
-        step: float,
-        values: Mapping[tuple[str, str], Array],
-        devices: Iterable[Device],
-    ) -> None:
-        self.network = network
-        self.step = step
-        self.values = dict(values)
-        self._devices = list(devices)
-
-    def __getattr__(self, kind: str) -> Quantities:
-        if kind.startswith("_") or kind not in self.network.tables:
-            raise AttributeError(kind)
-        table = self.network.tables[kind]
-
-        def get(name: str) -> Any:
-            value = self.values.get((kind, name))
-            return table.arrays.get(name) if value is None else value
-
-        names = [n for k, n in self.values if k == kind]
-        return Quantities(kind, get, lambda: [*names, *table.arrays])
-
-    def has(self, name: str) -> bool:
-        """Whether there are values of a quantity."""
-        return any(n == name for _, n in self.values)
-
-    @property
-    def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h: one value per stage."""
-        return _sum_costs(self._devices, self)
-
-
-def _sum_costs(devices: Iterable[Device], stage: Any) -> Any:
-    costs = [cost for cost in (device.cost(stage) for device in devices) if cost is not None]
-    result = costs[0] if costs else None
-    for cost in costs[1:]:
-        result = result + cost
-    return result
-
-
-def _resolve(table: Table, bound: Bound) -> npt.NDArray[Any]:
-    """Numbers of a bound: of a field, a function of the table, or as given."""
-    if isinstance(bound, str):
-        return np.asarray(table.arrays[bound])
-    return np.asarray(bound(table) if callable(bound) else bound)
+        return sum_of_costs(self.devices, self)
 
 
 def _roots(bound: Bound) -> Callable[[Table], Array]:
     """Square roots of the values of a bound."""
-    return lambda table: np.sqrt(_resolve(table, bound))
+    return lambda table: np.sqrt(resolved(table, bound))
 
 
 def _middle(lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[Any]:

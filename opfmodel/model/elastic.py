@@ -1,26 +1,24 @@
-"""Limits that give way at a price: what an elastic problem is, and how it says what is short."""
+"""Limits that give way at a price: what an elastic problem is, and how it reports what is short."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from enum import Enum
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError
+from opfmodel.network import PerUnitNetwork, Table
 from opfmodel.units import scale
+from solvers import Solution
 
-if TYPE_CHECKING:
-    from opfmodel.network import PerUnitNetwork, Table
-    from solvers import Solution
-
-__all__ = ["Elastic", "Shortage", "Slack", "Soft", "shortages"]
+__all__ = ["Elastic", "Shortage", "Side", "Slack", "Soft", "shortages"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-Class = Literal["limit", "shedding", "balance"]
 
 _LEAST = 1e-5  # p.u.; below it a slack is the solver's tolerance, not a shortage
 _TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
@@ -40,12 +38,12 @@ class Elastic:
     Parameters
     ----------
     limit
-        Of ratings, voltages, angles, ramps and constraints of one's own, $/MWh.
+        Of ratings, voltages, angles, ramps and custom constraints, $/MWh.
     shedding
         Of demand that is not served, $/MWh.
     balance
-        Of power that comes from nowhere or vanishes, active or reactive, and of energy outside a
-        store's limits, $/MWh. The highest, for nothing in a grid corresponds to it.
+        Of unserved balance (slack injection), active or reactive, and of energy outside a store's
+        limits, $/MWh. The highest, for nothing in a grid corresponds to it.
     """
 
     limit: float = 5_000.0
@@ -59,18 +57,34 @@ class Elastic:
                 raise ModelError(f"elastic: {name} = {price!r}: must be a positive price in $/MWh")
 
 
-@dataclass(frozen=True)
+class Side(Enum):
+    """On which side of a limit a quantity is."""
+
+    BELOW = -1
+    ABOVE = 1
+
+    @property
+    def other(self) -> Side:
+        """The other side."""
+        return Side(-self.value)
+
+
+@dataclass(frozen=True, eq=False)
 class Soft:
     """How a limit gives way in an elastic problem.
 
     Attributes
     ----------
+    limit
+        What is limited: ``voltage``, ``rating``, ``balance``, ...; shortages of one component and one
+        limit are reported together.
     members
         Positions of the components that the rows belong to.
     unit
         Physical unit of what is exceeded.
     below, above
-        What to say of a component under its lower or over its upper limit, with ``{}`` for the amount.
+        Sentences on a component below its lower or above its upper limit, with ``{}`` for the amount.
+        Where they are the same the side does not matter. An empty one is a side without a limit.
     price
         Which price of :class:`Elastic` counts.
     squared
@@ -81,25 +95,37 @@ class Soft:
         Stage of the first column of the rows; -1 for values at the ends of stages.
     noun
         What the components are called; their kind by default.
+    names
+        Names of the components, where they are no components of the network.
     timed
-        Whether the columns of the rows are stages; what is said of the others names no hour.
+        Whether the columns of the rows are stages; sentences on the others name no hour.
     """
 
+    limit: str
     members: Index
     unit: str
     below: str = ""
     above: str = ""
-    price: Class = "limit"
+    price: Literal["limit", "shedding", "balance"] = "limit"
     squared: bool = False
     share: float = 1.0
     first: int = 0
     noun: str = ""
+    names: tuple[str, ...] = ()
     timed: bool = True
 
+    def sentence(self, side: Side) -> str:
+        """The sentence on a component on one side of the limit."""
+        return self.above if side is Side.ABOVE else self.below
 
-@dataclass(frozen=True)
+    def side(self, side: Side) -> Side:
+        """The side, or always the same one where it does not matter."""
+        return Side.ABOVE if self.below == self.above else side
+
+
+@dataclass(frozen=True, eq=False)
 class Slack:
-    """A variable of an elastic problem that is positive where a limit is exceeded.
+    """A variable of an elastic problem that is positive where a limit is exceeded on one side.
 
     Attributes
     ----------
@@ -115,7 +141,7 @@ class Slack:
     block: str
     kind: str
     soft: Soft
-    phrase: str
+    side: Side
     bound: Callable[[Table], Array] | None = None
     counts: Callable[[Solution, PerUnitNetwork], npt.NDArray[np.bool_]] | None = None
 
@@ -123,17 +149,15 @@ class Slack:
         """What the limit is exceeded by, p.u., from the values of the variable."""
         if self.bound is None:
             return values
-        sign = 1.0 if self.phrase == self.soft.above else -1.0
-        bound = self.bound(network.tables[self.kind])
+        sign, bound = float(self.side.value), self.bound(network.tables[self.kind])
         return np.asarray(sign * (np.sqrt(np.maximum(bound**2 + sign * values, 0.0)) - bound))
 
-    def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[str, Array]]:
-        """What to say of positive and of negative values, and how large they are, p.u."""
+    def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[Side, Array]]:
+        """How much is exceeded on each side, p.u.: positive and negative values of the variable."""
         amounts = self.amount(values, network)
         if self.counts is not None:
             amounts = np.where(self.counts(least, network), amounts, 0.0)
-        other = self.soft.above if self.phrase == self.soft.below else self.soft.below
-        return [(self.phrase, np.maximum(amounts, 0.0)), (other, np.maximum(-amounts, 0.0))]
+        return [(self.side, np.maximum(amounts, 0.0)), (self.side.other, np.maximum(-amounts, 0.0))]
 
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Amounts of all components of the kind in all stages, ``(items, stages)``."""
@@ -145,7 +169,7 @@ class Slack:
         return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shortage:
     """One component that is short of something, in one or several stages.
 
@@ -153,10 +177,8 @@ class Shortage:
     ----------
     kind, component
         Of what, by name.
-    phrase
-        What happens, with ``{}`` for the amount.
-    unit
-        Unit of ``amounts``.
+    soft, side
+        The limit that is exceeded, and on which side.
     amounts
         By stage, in the physical unit.
     hours
@@ -169,12 +191,17 @@ class Shortage:
 
     kind: str
     component: str
-    phrase: str
-    unit: str
+    soft: Soft
+    side: Side
     amounts: Array
     hours: Array
     step: float
     cost: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of ``amounts``."""
+        return self.soft.unit
 
     @property
     def worst(self) -> float:
@@ -183,8 +210,8 @@ class Shortage:
 
     def __str__(self) -> str:
         short = np.flatnonzero(self.amounts > 1e-3 * self.worst)
-        phrase = self.phrase.format(f"{_figure(self.worst)} {self.unit}".strip())
-        text = f"{self.kind} {self.component} {phrase}"
+        amount = f"{_figure(self.worst)} {self.unit}".strip()
+        text = f"{self.kind} {self.component} {self.soft.sentence(self.side).format(amount)}"
         if not self.hours.size:
             return text
         text += f" at hour {self.hours[np.argmax(self.amounts)]:g}"
@@ -205,42 +232,36 @@ def shortages(
     step: float,
     hours: Array,
 ) -> tuple[Shortage, ...]:
-    """What the components of a network are short of, the dearest first.
+    """What the components of a network are short of, the most expensive first.
 
     Parameters
     ----------
     solution
         What happens.
     least
-        The solution with the least shortage, whose prices say what a shortage is caused by.
+        The solution with the least shortage, whose prices tell what causes a shortage.
     hours
         Hour at which each stage begins.
     """
-    amounts: dict[tuple[str, str, str, str, str], Array] = {}
-    untimed = set()
+    found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array]] = {}
     for slack in slacks:
-        for phrase, part in slack.parts(solution.value(slack.block), network, least):
-            table = network.tables.get(slack.kind)
-            size = int(slack.soft.members.max(initial=-1)) + 1 if table is None else len(table)
-            own = slack.block.rpartition("_")[0].removeprefix(f"{slack.kind} ")
-            names = [own] * size if table is None else list(table.names)
-            spread = slack.spread(part, size, hours.size) if slack.soft.timed else part
+        soft = slack.soft
+        names = soft.names or network.tables[slack.kind].names
+        for side, part in slack.parts(solution.value(slack.block), network, least):
+            spread = slack.spread(part, len(names), hours.size) if soft.timed else part
             for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > _LEAST):
-                key = (slack.soft.noun or slack.kind, names[item], phrase, slack.soft.unit, slack.soft.price)
-                known = amounts.get(key, np.zeros(spread.shape[1]))
-                if not slack.soft.timed:
-                    untimed.add(key)
+                key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
+                _, known = found.get(key, (soft, np.zeros(spread.shape[1])))
                 # both ends of a branch have one rating; what several loads of a bus lack adds up
-                join = np.maximum if slack.soft.price == "limit" else np.add
-                amounts[key] = join(known, spread[item])
+                join = np.maximum if soft.price == "limit" else np.add
+                found[key] = soft, join(known, spread[item])
     made = []
-    for whose, values in amounts.items():
-        kind, component, phrase, unit, sort = whose
-        cost = float(getattr(prices, sort)) * float(values.sum()) * step
+    for (kind, component, _, unit, side), (soft, amounts) in found.items():
+        cost = float(getattr(prices, soft.price)) * float(amounts.sum()) * step
         cost *= network.base_mva if unit else 1.0
-        physical = values * scale(unit, network.base_mva)
-        moments = hours[:0] if whose in untimed else hours
-        made.append(Shortage(kind, component, phrase, unit, physical, moments, step, cost))
+        physical = amounts * scale(unit, network.base_mva)
+        moments = hours if soft.timed else hours[:0]
+        made.append(Shortage(kind, component, soft, side, physical, moments, step, cost))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

@@ -1,0 +1,31 @@
+"""What devices, formulations and objectives see and declare.
+
+A :class:`Model` collects the declarations of one plan into a program. A :class:`NumericStage`
+offers the same quantities as arrays, so that the text of a cost is compiled for a solver and
+evaluated on a trajectory without being written twice.
+"""
+
+from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State
+from opfmodel.model.device import Device
+from opfmodel.model.elastic import Elastic, Shortage, Side, Slack, Soft
+from opfmodel.model.model import Model
+from opfmodel.model.stage import NumericStage, Quantities, Stage
+
+__all__ = [
+    "Bound",
+    "BoundSource",
+    "Device",
+    "Elastic",
+    "Injection",
+    "Model",
+    "NumericStage",
+    "Price",
+    "Published",
+    "Quantities",
+    "Shortage",
+    "Side",
+    "Slack",
+    "Soft",
+    "Stage",
+    "State",
+]

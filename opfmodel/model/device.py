@@ -1,0 +1,37 @@
+"""What a device is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from opfmodel.components import Component
+from opfmodel.model.stage import Stage
+from opfmodel.network import Table
+
+if TYPE_CHECKING:
+    from opfmodel.model.model import Model
+
+__all__ = ["Device"]
+
+
+class Device:
+    """A kind of component that takes part in the power balance; one class in one file.
+
+    Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
+    variables with bounds, affine rows and cones, convex costs.
+
+    Attributes
+    ----------
+    component
+        The component class that declares such devices.
+    """
+
+    component: type[Component]
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare variables, limits, injections and coupling in time for all components of the kind."""
+        raise NotImplementedError
+
+    def cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
+        """Operating cost in $/h, one value per stage, or None. Works on symbols and on numbers."""
+        return None

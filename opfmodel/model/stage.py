@@ -1,0 +1,133 @@
+"""What objectives, costs of devices and constraints see: quantities by name, on symbols or on numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import QuantityError, nearest
+from opfmodel.network import PerUnitNetwork
+
+if TYPE_CHECKING:
+    from opfmodel.model.device import Device
+
+__all__ = ["NumericStage", "Quantities", "Stage", "sum_of_costs"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Quantities:
+    """The quantities and data of one kind of component, as attributes, in per unit.
+
+    ``stage.generator.pg`` is a quantity of shape ``(items, stages)``; ``stage.generator.c1`` is a
+    field of the network, of shape ``(items, 1)``, or ``(items, stages)`` if it has a time series.
+    """
+
+    def __init__(self, kind: str, get: Callable[[str], Any], names: Callable[[], Iterable[str]]) -> None:
+        self._kind = kind
+        self._get = get
+        self._names = names
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        value = self._get(name)
+        if value is None:
+            message = f"{self._kind} has no quantity {name!r} here; {nearest(name, self._names())}"
+            raise QuantityError(self._kind, name, message)
+        return value
+
+    def __contains__(self, name: str) -> bool:
+        return self._get(name) is not None
+
+    def __dir__(self) -> list[str]:
+        return list(self._names())
+
+
+class Stage(Protocol):
+    """What an objective, a device's cost or a user's constraint is a function of.
+
+    Attributes
+    ----------
+    network
+        The arrays of the network.
+    step
+        Length of a stage in hours.
+    """
+
+    network: PerUnitNetwork
+    step: float
+
+    def __getattr__(self, kind: str) -> Quantities:
+        """Quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
+        ...
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity (``vm``, ``qg``, ...) is published."""
+        ...
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h: one value per stage."""
+        ...
+
+
+class NumericStage:
+    """The quantities of a model as numbers, for metering costs.
+
+    Parameters
+    ----------
+    network
+        Arrays of the network, with the time series of the window put in.
+    step
+        Length of a stage in hours.
+    values
+        Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
+    devices
+        The devices whose costs count.
+    """
+
+    def __init__(
+        self,
+        network: PerUnitNetwork,
+        step: float,
+        values: Mapping[tuple[str, str], Array],
+        devices: Iterable[Device],
+    ) -> None:
+        self.network = network
+        self.step = step
+        self.values = dict(values)
+        self._devices = list(devices)
+
+    def __getattr__(self, kind: str) -> Quantities:
+        if kind.startswith("_") or kind not in self.network.tables:
+            raise AttributeError(kind)
+        table = self.network.tables[kind]
+
+        def get(name: str) -> Any:
+            value = self.values.get((kind, name))
+            return table.arrays.get(name) if value is None else value
+
+        names = [n for k, n in self.values if k == kind]
+        return Quantities(kind, get, lambda: [*names, *table.arrays])
+
+    def has(self, name: str) -> bool:
+        """Whether there are values of a quantity."""
+        return any(n == name for _, n in self.values)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h: one value per stage."""
+        return sum_of_costs(self._devices, self)
+
+
+def sum_of_costs(devices: Iterable[Device], stage: Any) -> Any:
+    """Sum of the operating costs of devices, $/h; None if there is none."""
+    costs = [cost for cost in (device.cost(stage) for device in devices) if cost is not None]
+    result = costs[0] if costs else None
+    for cost in costs[1:]:
+        result = result + cost
+    return result
