@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -20,6 +20,7 @@ GROUPS = {
     "device": "opfmodel.devices",
     "profile": "opfmodel.profiles",
     "forecast": "opfmodel.forecasts",
+    "plant": "opfmodel.plants",
 }
 
 # What a plugin must be a subclass of; by name, because these live in layers above.
@@ -29,6 +30,7 @@ _BASES = {
     "device": "opfmodel.model:Device",
     "profile": "opfmodel.profiles.base:ProfileRule",
     "forecast": "opfmodel.forecasts.base:Forecast",
+    "plant": "opfmodel.simulation:Plant",
 }
 
 # Where a class says its own name, which must be that of its entry point: results and networks use it.
@@ -125,6 +127,7 @@ def make(
     name: str,
     options: Mapping[str, Any],
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
+    beside: Iterable[str] = (),
 ) -> Any:
     """An object of a plugin's class from options as a file has them.
 
@@ -134,6 +137,8 @@ def make(
         Keyword arguments of the constructor, checked against its annotations.
     convert
         How values of a file become objects of a type, for options annotated with it.
+    beside
+        Keys that stand beside the options in a file, for which one of them may be a mistake.
 
     Raises
     ------
@@ -153,7 +158,8 @@ def make(
     checked = {}
     for key, value in options.items():
         if key not in accepted:
-            raise PluginError(f"{sort} {name!r} has no option {key!r}; {nearest(key, accepted)}", key)
+            known = nearest(key, (*accepted, *beside))
+            raise PluginError(f"{sort} {name!r} has no option {key!r}; {known}", key)
         hint = hints.get(key, Any)
         converter = (convert or {}).get(hint)
         try:

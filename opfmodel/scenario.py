@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -46,26 +45,10 @@ from opfmodel.profiles.base import Workbook, constant
 from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
 from opfmodel.sequence import SingleStageSequence, single_stage_sequence
-from opfmodel.simulation import (
-    Controller,
-    NominalPlant,
-    OnInfeasible,
-    Plant,
-    PowerFlow,
-    Redispatch,
-    Run,
-    check_answer,
-    simulate,
-)
+from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "laid_over", "load_scenario"]
-
-_PLANTS: dict[str, Callable[..., Plant]] = {
-    "nominal": NominalPlant,
-    "power-flow": PowerFlow,
-    "redispatch": Redispatch,
-}
 
 Spec = str | dict[str, Any] | list[str | dict[str, Any]]
 
@@ -109,13 +92,10 @@ class _Controller(_Section):
     solver: str | _Solver = "auto"
 
 
-class _Plant(_Section):
-    mode: Literal["nominal", "power-flow", "redispatch"] = "nominal"
-    participation: dict[str, float] | None = None
-    price: float | None = Field(None, gt=0)
-    reactive_price: float | None = Field(None, gt=0)
-    shedding_price: float | None = Field(None, gt=0)
-    violation_price: float | None = Field(None, gt=0)
+class _Plant(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True)  # the options of the plant
+
+    mode: str = "nominal"
 
 
 class _Published(_Section):
@@ -248,9 +228,11 @@ class Scenario:
         return self._sequences[steps]
 
     def plant(self) -> Plant:
-        """What answers the plans of the controller."""
-        options = self.settings.plant.model_dump(exclude={"mode"}, exclude_none=True)
-        return _PLANTS[self.settings.plant.mode](**options)
+        """What responds to the plans of the controller; a new one, without a past."""
+        settings = self.settings.plant
+        made = plugins.make("plant", settings.mode, settings.model_extra or {}, beside=("mode",))
+        assert isinstance(made, Plant)
+        return made
 
     def simulate(self, progress: bool = False, verbose: bool = False) -> Run:
         """Run the closed loop of the scenario."""
@@ -624,19 +606,13 @@ def _forecast(document: Document, settings: _File) -> Forecast:
 
 def _check_plant(document: Document, scenario: Scenario) -> None:
     """Raise an error for an option that the plant does not take, or that does not fit the network."""
-    settings = scenario.settings.plant
-    accepted = list(inspect.signature(_PLANTS[settings.mode]).parameters)
-    for key in settings.model_dump(exclude={"mode"}, exclude_none=True):
-        if key not in accepted:
-            known = f"it takes {', '.join(accepted)}" if accepted else "it takes none"
-            raise document.error(("plant", key), f"mode {settings.mode!r} has no such option; {known}")
+    with _located(document, ("plant", "mode")):
+        plugins.load("plant", scenario.settings.plant.mode)
     with _located(document, ("plant",)):
         plant = scenario.plant()
+        plant.check(per_unit(scenario.network))
     with _located(document, ("forecast",)):
-        check_answer(scenario.forecast, plant)
-    if settings.participation is not None:
-        with _located(document, ("plant", "participation")):
-            PowerFlow(settings.participation).shares(per_unit(scenario.network))
+        check_response(scenario.forecast, plant)
 
 
 def _setpoints(value: Any, scenario: Scenario) -> Setpoints:

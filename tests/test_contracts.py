@@ -18,8 +18,10 @@ from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.testing import (
     check_back_end,
     check_device,
+    check_forecast,
     check_formulation,
     check_objective,
+    check_plant,
     check_profile,
 )
 
@@ -54,6 +56,10 @@ OPTIONS: dict[tuple[str, str], dict[str, object]] = {
     ("profile", "scale"): {"factor": 1.1, "loads": ["mill"]},
     ("profile", "step"): {"loads": ["town"], "first": 2, "last": 3, "add": 4.0},
     ("profile", "table"): {"file": "series.csv"},
+    ("forecast", "noisy"): {"deviation": 0.1, "seed": 3},
+    ("plant", "power-flow"): {"participation": {"coal": 1.0, "gas": 2.0}},
+    ("plant", "redispatch"): {"price": 50.0},
+    ("plant", "inexact"): {"deviation": 0.03, "seed": 2},
     ("profile", "repeat"): {"component": "coal", "field": "p_max", "values": [50.0, 60.0, 70.0]},
 }
 
@@ -107,6 +113,19 @@ def test_a_profile_rule_keeps_its_contract(name: str, tmp_path: Path) -> None:
     check_profile(plugins.make("profile", name, OPTIONS.get(("profile", name), {})), folder=tmp_path)
 
 
+@pytest.mark.parametrize("name", names("forecast"))
+def test_a_forecast_keeps_its_contract(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "forecast.csv"
+    file.write_text("town.p,town.q\n" + "".join(f"{30 + k},{8 + k}\n" for k in range(24)))
+    options = {"file": file} if name == "file" else OPTIONS.get(("forecast", name), {})
+    check_forecast(plugins.make("forecast", name, options))
+
+
+@pytest.mark.parametrize("name", names("plant"))
+def test_a_plant_keeps_its_contract(name: str) -> None:
+    check_plant(plugins.make("plant", name, OPTIONS.get(("plant", name), {})))
+
+
 @pytest.mark.parametrize("name", names("back end"))
 def test_a_back_end_keeps_its_contract(name: str) -> None:
     end = solvers.back_ends()[name]
@@ -116,5 +135,5 @@ def test_a_back_end_keeps_its_contract(name: str) -> None:
 
 def test_all_sorts_are_here() -> None:
     assert len(names("formulation")) >= 8
-    for sort in ("objective", "device", "profile", "back end"):
+    for sort in (*plugins.GROUPS, "back end"):
         assert len(names(sort)) >= 2

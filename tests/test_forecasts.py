@@ -178,7 +178,7 @@ def test_no_forecast_is_a_perfect_one() -> None:
 
 
 def test_an_imperfect_forecast_needs_a_plant_that_answers(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"Noisy with the nominal plant: .* power-flow or redispatch"):
+    with pytest.raises(ModelError, match=r"Noisy with NominalPlant: .* power-flow or redispatch"):
         om.simulate(om.Controller(problem(), Noisy(0.1, 1)))
     with pytest.raises(ScenarioError, match=r"scenario.yaml:8:1: forecast: .* power-flow or redispatch"):
         om.load_scenario(written(tmp_path, "forecast: persistence"))

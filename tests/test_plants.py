@@ -530,15 +530,18 @@ def test_a_scenario_names_its_plant() -> None:
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
-        ({"mode": "ac"}, "plant.mode: 'ac': input should be 'nominal', 'power-flow' or 'redispatch'"),
-        ({"shedding_price": 5.0}, "plant.shedding_price: mode 'nominal' has no such option; it takes none"),
+        ({"mode": "ac"}, "plant.mode: there is no plant 'ac'; known are: nominal, power-flow, redispatch"),
+        (
+            {"shedding_price": 5.0},
+            "plant.shedding_price: plant 'nominal' has no option 'shedding_price'; known are: mode",
+        ),
         (
             {"mode": "power-flow", "price": 5.0},
-            "mode 'power-flow' has no such option; it takes participation",
+            "plant.price: plant 'power-flow' has no option 'price'; known are: mode, participation",
         ),
-        ({"mode": "redispatch", "price": -5.0}, "plant.price: -5.0: input should be greater than 0"),
+        ({"mode": "redispatch", "price": -5.0}, "plant: redispatch: price = -5.0: must be a positive price"),
         ({"mode": "power-flow", "participation": {"gen9": 1.0}}, "no generator in service is named 'gen9'"),
-        ({"mood": "redispatch"}, "plant.mood: unknown key; did you mean 'mode'"),
+        ({"mood": "redispatch"}, "plant.mood: plant 'nominal' has no option 'mood'; did you mean 'mode'"),
     ],
 )
 def test_mistakes_in_a_plant(plant: dict[str, object], message: str) -> None:

@@ -232,7 +232,7 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
             r"controller.end: 'cyclic': must be a mapping with keys of cyclic, minimum",
         ),
         (MINIMAL + "time: 3\n", "time: 3: must be a mapping with keys of step, steps"),
-        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping with keys of mode, "),
+        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping with keys of mode"),
         (MINIMAL + "name: ../x\n", r":4:1: name: '../x': .* or hold / or"),
         (MINIMAL + "name: ..\n", ":4:1: name: '..': .* it cannot be empty"),
         (MINIMAL + "variants: {a/b: {}}\n", ":4:12: variants.a/b: 'a/b': .* or hold / or"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -20,12 +21,14 @@ from opfmodel.model import Device
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.profiles.base import ProfileRule
+from opfmodel.simulation import Step
 from opfmodel.testing import (
     ContractError,
     check_back_end,
     check_device,
     check_formulation,
     check_objective,
+    check_plant,
     check_profile,
 )
 from opfmodel.testing.grids import feeder
@@ -408,6 +411,74 @@ def test_a_profile_rule_that_breaks_a_rule_is_caught(make, message: str) -> None
 
 def test_a_sound_rule_passes() -> None:
     check_profile(Rule(), feeder())
+
+
+# Plants -----------------------------------------------------------------------------------------
+
+
+class Steady(om.NominalPlant):
+    """The nominal plant."""
+
+
+def meddled(change, base: type[om.Plant] = om.NominalPlant) -> om.Plant:
+    """A plant whose steps are changed before they are returned."""
+
+    def apply(self, plan):
+        return change(base.apply(self, plan))
+
+    return type("Planted", (base,), {"__doc__": base.__doc__, "apply": apply})()
+
+
+def moody(step: Step) -> Step:
+    return replace(step, values={k: v * (1 + 1e-3 * next(MOODS)) for k, v in step.values.items()})
+
+
+MOODS = itertools.count()
+
+
+def drained(step: Step) -> Step:
+    return replace(step, state={**step.state, "e": 0.9 * step.state["e"]})
+
+
+def scribbling(self, plan) -> Step:
+    plan.solution.x[:] *= 1.001
+    return om.NominalPlant.apply(self, plan)
+
+
+def forgetful(step: Step) -> Step:
+    return replace(step, values={k: v for k, v in step.values.items() if k != ("generator", "qg")})
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (om.NominalPlant, "is a Plant"),
+        (type("Mute", (Steady,), {"__doc__": ""})(), "first line that is a sentence"),
+        (type("Lazy", (om.Plant,), {"__doc__": "Lazy."})(), "responds to every plan': NotImplementedError"),
+        (meddled(lambda step: None), "responds to every plan"),
+        (meddled(lambda step: replace(step, described={})), "describes what it reports, with its unit"),
+        (
+            meddled(lambda s: replace(s, values={k: np.append(v, 0.0) for k, v in s.values.items()})),
+            "reports one value per component|responds to every plan",
+        ),
+        (
+            meddled(lambda s: replace(s, values={k: np.full_like(v, np.nan) for k, v in s.values.items()})),
+            "reports numbers wherever it found a state|responds to every plan",
+        ),
+        (meddled(lambda step: replace(step, state={})), "hands on every state of the plan"),
+        (meddled(drained), "obeys the physics': energy continuity"),
+        (meddled(moody), "repeats itself in another run"),
+        (type("Scribbling", (Steady,), {"__doc__": "Scribbling.", "apply": scribbling})(), "leaves plans as they are"),
+        (meddled(forgetful, om.PowerFlow), "reports what happened so that it can be checked|obeys the physics"),
+        (
+            type("Bold", (Steady,), {"__doc__": "Bold.", "needs_perfect_forecast": False})(),
+            "obeys the physics': active balance",
+        ),
+    ],
+)  # fmt: skip
+def test_a_plant_that_breaks_a_rule_is_caught(plant, message: str) -> None:
+    with pytest.raises(ContractError, match=message):
+        check_plant(plant)
 
 
 # Back ends --------------------------------------------------------------------------------------

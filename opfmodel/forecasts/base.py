@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from opfmodel.profiles.series import Array, Profiles
@@ -19,7 +21,14 @@ class Forecast:
     constructor are the options in a scenario file, and one that is annotated as a path is relative
     to that file. A forecast is a pure function of what happens and of the step, so that solving again
     or in another order sees the same.
+
+    Attributes
+    ----------
+    perfect
+        Whether it is what happens.
     """
+
+    perfect: ClassVar[bool] = False
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Series of ``stages`` values that are expected at step ``time`` for the steps from it on.

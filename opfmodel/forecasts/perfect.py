@@ -11,6 +11,8 @@ __all__ = ["Perfect"]
 class Perfect(Forecast):
     """Exactly what happens."""
 
+    perfect = True
+
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """What happens."""
         return Profiles(part(actual, time, stages))

@@ -1,9 +1,15 @@
-"""The closed loop: a controller that plans, a plant that answers, and what happened."""
+"""The closed loop: a controller that plans, a plant that responds, and what happened."""
 
-from opfmodel.simulation.loop import Controller, OnInfeasible, Run, check_answer, simulate
-from opfmodel.simulation.plants import NominalPlant, Plant, PowerFlow, Redispatch, Step
+from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
+from opfmodel.simulation.loop import check_response, simulate
+from opfmodel.simulation.plants.base import Plant, Step
+from opfmodel.simulation.plants.nominal import NominalPlant
+from opfmodel.simulation.plants.power_flow import PowerFlow
+from opfmodel.simulation.plants.redispatch import Redispatch
+from opfmodel.simulation.run import Run
 
 __all__ = [
+    "Attempt",
     "Controller",
     "NominalPlant",
     "OnInfeasible",
@@ -12,6 +18,6 @@ __all__ = [
     "Redispatch",
     "Run",
     "Step",
-    "check_answer",
+    "check_response",
     "simulate",
 ]

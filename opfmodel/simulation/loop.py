@@ -1,272 +1,23 @@
-"""The closed loop: a controller that plans, a plant that answers, and what happened."""
+"""The closed loop: a controller plans, a plant responds, time moves on."""
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal, get_args
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict
+from typing import Any
 
 from opfmodel.errors import ModelError
 from opfmodel.forecasts.base import Forecast
-from opfmodel.forecasts.perfect import Perfect
-from opfmodel.model import Elastic, NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
-from opfmodel.results import dataset
-from opfmodel.simulation.plants import NominalPlant, Plant, Step
-from opfmodel.simulation.records import summarise
-from solvers import SolutionStatus
+from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
+from opfmodel.simulation.plants.base import Plant
+from opfmodel.simulation.plants.nominal import NominalPlant
+from opfmodel.simulation.run import Run
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-__all__ = ["Attempt", "Controller", "OnInfeasible", "Run", "check_answer", "simulate"]
-
-Array = npt.NDArray[np.float64]
-OnInfeasible = Literal["stop", "elastic"]
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One solve on the way to a plan.
-
-    Attributes
-    ----------
-    start
-        ``warm`` (the last plan moved ahead, with its multipliers), ``cold``, ``other`` (the last plan
-        moved ahead, without multipliers) or ``elastic`` (the twin whose limits give way).
-    """
-
-    start: str
-    status: str
-    termination: str
-    iterations: int | None
-    seconds: float
-
-
-class Controller:
-    """Plans at every step with the same compiled problem, starting from its last plan.
-
-    A solve that fails is repeated from other starting points before the failure is accepted: warm,
-    cold, other, and, if asked for, elastic; :attr:`attempts` has them all.
-
-    Parameters
-    ----------
-    problem
-        The multi-stage problem that is solved at every step. Its profiles are what happens.
-    forecast
-        What is expected of the profiles instead; what happens by default.
-    on_infeasible
-        What to do when a problem has no solution: ``stop``, or ``elastic``: plan with limits that give
-        way at a price.
-    elastic
-        Those prices.
-
-    Attributes
-    ----------
-    attempts
-        The solves that the last plan took.
-    """
-
-    def __init__(
-        self,
-        problem: MultiStage,
-        forecast: Forecast | None = None,
-        on_infeasible: OnInfeasible = "stop",
-        elastic: Elastic | None = None,
-    ) -> None:
-        if on_infeasible not in get_args(OnInfeasible):
-            raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
-        self.problem = problem
-        self.forecast = forecast
-        self.on_infeasible = on_infeasible
-        self.elastic = Elastic() if elastic is None else elastic
-        self.attempts: list[Attempt] = []
-        self._last: Plan | None = None
-
-    def plan(self, time: int, state: Initial | None) -> Plan:
-        """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
-        expected, last = self._expected(time), self._last
-        if last is not None and last.time > time:  # another run has begun
-            last = None
-        solve = partial(self.problem.solve, time, state, expected=expected)
-        ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
-        if last is not None:
-            ladder = {
-                "warm": partial(solve, last),
-                "cold": solve,
-                "other": partial(solve, last, multipliers=False),
-            }
-        self.attempts = []
-        for start, attempt in ladder.items():
-            plan = self._attempt(start, attempt)
-            if plan.optimal or plan.solution.status is SolutionStatus.PROVEN_INFEASIBLE:
-                break
-        self._last = plan if plan.optimal else None
-        if not plan.optimal and self.on_infeasible == "elastic":
-            plan = self._attempt("elastic", partial(self._twin.solve, time, state, expected=expected))
-        return plan
-
-    def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
-        plan = solve()
-        solution = plan.solution
-        self.attempts.append(
-            Attempt(start, plan.status, plan.termination, solution.iterations, solution.seconds)
-        )
-        return plan
-
-    @cached_property
-    def _twin(self) -> MultiStage:
-        return self.problem.elastic_twin(self.elastic)
-
-    def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
-        """What is expected of the stages ahead, in per unit; None for what happens."""
-        if self.forecast is None:
-            return None
-        problem = self.problem
-        expected = self.forecast.expected(problem.profiles, time, problem.horizon)
-        window = expected.window(problem.arrays, 0, problem.horizon)
-        if ("generator", "p_max") in window:  # a unit that runs can at least do that
-            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min)
-            window["generator", "p_max"] = np.maximum(window["generator", "p_max"], least)
-        return window
-
-
-@dataclass
-class Run:
-    """A closed loop, finished or not.
-
-    Attributes
-    ----------
-    status
-        ``running``; then ``done``, the status of the plan that failed, ``unsolved`` where the plant
-        found no state in some step, or ``stopped``. Finished steps are kept in any case.
-    termination
-        Why it ended.
-    interrupted
-        Whether that was Ctrl-C.
-    """
-
-    problem: MultiStage
-    objective: Objective
-    plans: list[dict[str, Any]] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
-    status: str = "running"
-    termination: str = "the loop has not ended"
-    interrupted: bool = False
-    build_seconds: float = 0.0
-    _finished: xr.Dataset | None = field(default=None, repr=False)
-
-    def __repr__(self) -> str:
-        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} $"
-        return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
-
-    def finish(self) -> None:
-        """Settle the status of a loop that went through all its steps."""
-        unsolved = [number for number, step in enumerate(self.steps) if not step.solved]
-        if unsolved:
-            first = unsolved[0]
-            self.status = "unsolved"
-            self.termination = (
-                f"the plant found no state in {len(unsolved)} of {len(self.steps)} steps, "
-                f"first in step {first}: {self.steps[first].status}"
-            )
-        else:
-            self.status, self.termination = "done", "all steps done"
-
-    def _stage(self) -> NumericStage:
-        """The realised quantities as numbers in per unit."""
-        network = self.problem.window(0, len(self.steps))
-        # what limits are exceeded by is there only in the steps of an elastic plan
-        absent = {key: np.zeros_like(value) for step in self.steps for key, value in step.values.items()}
-        values = {
-            key: np.column_stack([step.values.get(key, zero) for step in self.steps])
-            for key, zero in absent.items()
-        }
-        return NumericStage(network, self.problem.step, values, self.problem.devices)
-
-    @property
-    def cost_rate(self) -> Array:
-        """Stage cost of the realised trajectory, $/h; NaN in steps for which the plant found no state."""
-        return self._cost_rate(self._stage()) if self.steps else np.zeros(0)
-
-    def _cost_rate(self, stage: NumericStage) -> Array:
-        cost = self.objective.stage_cost(stage)
-        rate = np.zeros(len(self.steps)) if cost is None else np.asarray(cost, dtype=float)
-        return np.where([step.solved for step in self.steps], rate, np.nan)
-
-    @property
-    def cost(self) -> float:
-        """Realised cost over all steps, $; NaN unless the plant found a state in each."""
-        return float(self.cost_rate.sum()) * self.problem.step
-
-    @property
-    def data(self) -> xr.Dataset:
-        """Realised trajectories in physical units and the effort of each step; so far, in a running loop."""
-        if self.status == "running":  # it grows: nothing may be kept
-            return self._dataset()
-        if self._finished is None:
-            self._finished = self._dataset()
-        return self._finished
-
-    def _dataset(self) -> xr.Dataset:
-        stage = self._stage()
-        rate = self._cost_rate(stage)
-        described = {name: text for step in self.steps for name, text in step.described.items()}
-        quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
-        made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
-        made["cost_rate"] = ("time", rate, {"units": "$/h", "long_name": "stage cost"})
-        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
-            values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
-            made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
-        for key, words in (
-            ("plan_status", [plan["status"] for plan in self.plans[: len(self.steps)]]),
-            ("plant_status", [step.status for step in self.steps]),
-        ):
-            made[key] = ("time", np.array(words, dtype=str), {"long_name": key.replace("_", " ")})
-        controller = self.problem.formulation.name
-        made.attrs |= {
-            "network": self.problem.network.name,
-            "formulation": self.steps[-1].formulation if self.steps else controller,
-            "controller_formulation": controller,
-            "objective": type(self.problem.objective).__name__,
-            "status": self.status,
-            "termination": self.termination,
-            "step_hours": self.problem.step,
-            "cost": float(rate.sum()) * self.problem.step,
-        }
-        return made
-
-    def summary(self) -> dict[str, Any]:
-        """The run in a few numbers; None for a cost that is not known and for iterations nobody counted."""
-        seconds = [plan["solve_seconds"] for plan in self.plans]
-        iterations = [plan["iterations"] for plan in self.plans if plan["iterations"] is not None]
-        return {
-            "status": self.status,
-            "termination": self.termination,
-            "cost": None if not self.steps or np.isnan(self.cost) else self.cost,
-            "steps": len(self.steps),
-            "build_seconds": self.build_seconds,
-            "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
-            "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
-            "iterations_mean": float(np.mean(iterations)) if iterations else None,
-            "retries": {
-                str(step): [f"{a['start']}: {a['status']}" for a in plan["attempts"]]
-                for step, plan in enumerate(self.plans)
-                if len(plan["attempts"]) > 1
-            },
-            "elastic_steps": sum(plan["status"] == "elastic" for plan in self.plans),
-            "diagnosis": {
-                str(step): plan["diagnosis"] for step, plan in enumerate(self.plans) if plan["diagnosis"]
-            },
-            **summarise(self.problem, self.steps),
-        }
+__all__ = ["check_response", "simulate"]
 
 
 def simulate(
@@ -318,7 +69,7 @@ def simulate(
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
         raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
     plant = NominalPlant() if plant is None else plant
-    check_answer(controller.forecast, plant)
+    check_response(controller.forecast, plant)
     problem = controller.problem
     needed, length = steps + problem.horizon - 1, problem.profiles.length
     if length is not None and length < needed:
@@ -354,12 +105,12 @@ def simulate(
     return run
 
 
-def check_answer(forecast: Forecast | None, plant: Plant) -> None:
+def check_response(forecast: Forecast | None, plant: Plant) -> None:
     """Raise :class:`ModelError` if plans for demand that does not come would be taken for what happens."""
-    if isinstance(plant, NominalPlant) and not (forecast is None or isinstance(forecast, Perfect)):
+    if plant.needs_perfect_forecast and not (forecast is None or forecast.perfect):
         raise ModelError(
-            f"forecast {type(forecast).__name__} with the nominal plant: the balance would not hold; "
-            "an imperfect forecast needs a plant that answers: power-flow or redispatch"
+            f"forecast {type(forecast).__name__} with {type(plant).__name__}: the balance would not hold; "
+            "an imperfect forecast needs a plant that responds: power-flow or redispatch"
         )
 
 
@@ -378,21 +129,13 @@ def _record(plan: Plan, attempts: list[Attempt], seconds: float) -> dict[str, An
     }
 
 
-class _progress:  # noqa: N801 - used like a function
-    """A progress bar; entering gives a function that advances it."""
+@contextmanager
+def _progress(steps: int) -> Iterator[Callable[[], None]]:
+    """A progress bar on standard error; gives a function that advances it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    def __init__(self, steps: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        columns = (TextColumn("closed loop"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-        self._steps = steps
-
-    def __enter__(self) -> Callable[[], None]:
-        self._bar.start()
-        task = self._bar.add_task("", total=self._steps)
-        return lambda: self._bar.advance(task)
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+    columns = (TextColumn("closed loop"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=steps)
+        yield lambda: bar.advance(task)

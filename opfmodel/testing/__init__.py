@@ -1,4 +1,4 @@
-"""The contracts of plugins: of objectives, formulations, devices, profile rules, forecasts and back ends.
+"""The contracts of plugins of every kind, from objectives to plants and back ends.
 
     >>> from opfmodel.objectives.economic import Economic
     >>> check_objective(Economic(reactive_weight=1e-3))
@@ -12,6 +12,7 @@ from opfmodel.testing.devices import check_device
 from opfmodel.testing.forecasts import check_forecast
 from opfmodel.testing.formulations import check_formulation
 from opfmodel.testing.objectives import check_objective
+from opfmodel.testing.plants import check_plant
 from opfmodel.testing.profiles import check_profile
 from solvers.testing import ContractError, check_back_end
 
@@ -22,5 +23,6 @@ __all__ = [
     "check_forecast",
     "check_formulation",
     "check_objective",
+    "check_plant",
     "check_profile",
 ]

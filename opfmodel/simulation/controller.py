@@ -1,0 +1,128 @@
+"""The controller: plans at every step, from its last plan or from nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError
+from opfmodel.forecasts.base import Forecast
+from opfmodel.model import Elastic
+from opfmodel.plan import Initial, MultiStage, Plan
+from solvers import SolutionStatus
+
+__all__ = ["Attempt", "Controller", "OnInfeasible"]
+
+Array = npt.NDArray[np.float64]
+OnInfeasible = Literal["stop", "elastic"]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One solve on the way to a plan.
+
+    Attributes
+    ----------
+    start
+        ``warm`` (the last plan moved ahead, with its multipliers), ``cold``, ``other`` (the last plan
+        moved ahead, without multipliers) or ``elastic`` (the twin whose limits give way).
+    """
+
+    start: str
+    status: str
+    termination: str
+    iterations: int | None
+    seconds: float
+
+
+class Controller:
+    """Plans at every step with the same compiled problem, starting from its last plan.
+
+    A solve that fails is repeated from other starting points before the failure is accepted: warm,
+    cold, other, and, if asked for, elastic; :attr:`attempts` has them all.
+
+    Parameters
+    ----------
+    problem
+        The multi-stage problem that is solved at every step. Its profiles are what happens.
+    forecast
+        What is expected of the profiles instead; what happens by default.
+    on_infeasible
+        What to do when a problem has no solution: ``stop``, or ``elastic``: plan with limits that give
+        way at a price.
+    elastic
+        Those prices.
+
+    Attributes
+    ----------
+    attempts
+        The solves that the last plan took.
+    """
+
+    def __init__(
+        self,
+        problem: MultiStage,
+        forecast: Forecast | None = None,
+        on_infeasible: OnInfeasible = "stop",
+        elastic: Elastic | None = None,
+    ) -> None:
+        if on_infeasible not in get_args(OnInfeasible):
+            raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
+        self.problem = problem
+        self.forecast = forecast
+        self.on_infeasible = on_infeasible
+        self.elastic = Elastic() if elastic is None else elastic
+        self.attempts: list[Attempt] = []
+        self._last: Plan | None = None
+
+    def plan(self, time: int, state: Initial | None) -> Plan:
+        """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
+        expected, last = self._expected(time), self._last
+        if last is not None and last.time > time:  # another run has begun
+            last = None
+        solve = partial(self.problem.solve, time, state, expected=expected)
+        ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
+        if last is not None:
+            ladder = {
+                "warm": partial(solve, last),
+                "cold": solve,
+                "other": partial(solve, last, multipliers=False),
+            }
+        self.attempts = []
+        for start, attempt in ladder.items():
+            plan = self._attempt(start, attempt)
+            if plan.optimal or plan.solution.status is SolutionStatus.PROVEN_INFEASIBLE:
+                break
+        self._last = plan if plan.optimal else None
+        if not plan.optimal and self.on_infeasible == "elastic":
+            plan = self._attempt("elastic", partial(self._twin.solve, time, state, expected=expected))
+        return plan
+
+    def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
+        plan = solve()
+        solution = plan.solution
+        self.attempts.append(
+            Attempt(start, plan.status, plan.termination, solution.iterations, solution.seconds)
+        )
+        return plan
+
+    @cached_property
+    def _twin(self) -> MultiStage:
+        return self.problem.elastic_twin(self.elastic)
+
+    def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
+        """What is expected of the stages ahead, in per unit; None for what happens."""
+        if self.forecast is None:
+            return None
+        problem = self.problem
+        expected = self.forecast.expected(problem.profiles, time, problem.horizon)
+        window = expected.window(problem.arrays, 0, problem.horizon)
+        if ("generator", "p_max") in window:  # a unit that runs can at least do that
+            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min)
+            window["generator", "p_max"] = np.maximum(window["generator", "p_max"], least)
+        return window

@@ -1,0 +1,5 @@
+"""Plants: what the grid does with a plan, one file each. ``docs/plants.md`` has the equations."""
+
+from opfmodel.simulation.plants.base import Plant, Step
+
+__all__ = ["Plant", "Step"]

@@ -1,0 +1,21 @@
+"""The grid as it was planned."""
+
+from __future__ import annotations
+
+from opfmodel.plan import Plan
+from opfmodel.simulation.plants.base import Plant, Step
+
+__all__ = ["NominalPlant"]
+
+
+class NominalPlant(Plant):
+    """The grid does exactly what was planned."""
+
+    needs_perfect_forecast = True
+
+    def apply(self, plan: Plan) -> Step:
+        """Take the first stage of the plan as what happened."""
+        known = {**plan.quantities(), **plan.exceeded(), **plan.prices()}
+        values = {key: value[:, 0] for key, value in known.items()}
+        formulation = plan.problem.formulation.name
+        return Step(values, plan.next_state(), plan.problem.described, formulation)

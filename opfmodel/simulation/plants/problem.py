@@ -1,0 +1,192 @@
+"""What plants with AC physics share: a problem of one stage, solved at what really happens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from opfmodel.model import Device, Stage
+from opfmodel.network import PerUnitNetwork
+from opfmodel.objectives.base import Objective
+from opfmodel.plan import MultiStage, Plan
+from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
+from opfmodel.simulation.records import DESCRIBED, changes, excesses
+from solvers import largest, total
+
+__all__ = ["ALWAYS", "ACPlant", "SetPoints", "one_stage", "set_points", "unit_of"]
+
+_NETWORK = ("bus", "branch")
+ALWAYS = (("generator", "pg"), ("generator", "qg"), ("storage", "ps"), ("storage", "qs"))
+_PRECISE = {"tol": 1e-8, "constr_viol_tol": 1e-8}
+
+
+class ACPlant(Plant):
+    """A plant that is a problem of one stage with the AC equations, solved at what really happens.
+
+    The problem is compiled at the first plan, and only numbers change from then on. A subclass says what
+    the problem is (:meth:`make`) and solves it for set-points (:meth:`find`).
+    """
+
+    def __init__(self) -> None:
+        self._arrays: PerUnitNetwork | None = None
+        self._set_points = SetPoints({})
+        self._last: Plan | None = None
+        self._before: Array | None = None
+        self._next = -1
+
+    def apply(self, plan: Plan) -> Step:
+        """Find the physical state of the first stage of a plan, at the demand that happens.
+
+        Returns
+        -------
+        Step
+            Also if there is no such state: then with the set-points as they were, NaN for what the
+            network does, and the status.
+        """
+        self._prepare(plan)
+        network = plan.problem.window(plan.time, 1)
+        planned = {key: value[:, 0] for key, value in plan.quantities().items() if key[0] not in _NETWORK}
+        aims = _with_energy(self.aims(plan, planned), planned, network, plan.problem.step)
+        found = self.find(plan, aims, network)
+        values = self._values(aims, found)
+        before = self._before
+        values |= excesses(network, values, plan.problem.step, before)
+        values |= changes(network, values, planned, self._available)
+        self._before, self._next = values.get(("generator", "pg")), plan.time + 1
+        return Step(
+            values={**{key: price[:, 0] for key, price in plan.prices().items()}, **values},
+            state=self._state(plan, values, network),
+            described={**plan.problem.described, **self._problem.described, **DESCRIBED},
+            status=found.status,
+            solved=found.optimal,
+        )
+
+    def _prepare(self, plan: Plan) -> None:
+        """Compile for the network of a plan, and forget what happened if the plan is not the next one."""
+        if self._arrays is not plan.problem.arrays:
+            self._arrays = plan.problem.arrays
+            self._problem = self.make(plan)
+            self._next = -1
+            series = plan.problem.profiles.series
+            self._available = np.array([(g, "p_max") in series for g in self._arrays.generator.names])
+        if plan.time != self._next:
+            self._last = self._before = None
+
+    def aims(self, plan: Plan, planned: Values) -> Values:  # noqa: ARG002 - for subclasses
+        """The set-points that devices really aim at, p.u.; by default those of the plan."""
+        return planned
+
+    def make(self, plan: Plan) -> MultiStage:
+        """The plant's own problem for the network of a plan."""
+        raise NotImplementedError
+
+    def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
+        """Solve the plant's own problem for set-points."""
+        raise NotImplementedError
+
+    def solve(self, time: int, initial: dict[str, Any] | None, window: Values) -> Plan:
+        """Solve, first from the last state, then from nothing."""
+        found = self._problem.solve(time, initial, self._last, expected=window)
+        if not found.optimal and self._last is not None:
+            found = self._problem.solve(time, initial, expected=window)
+        self._last = found if found.optimal else None
+        return found
+
+    @staticmethod
+    def _values(aims: Values, found: Plan) -> Values:
+        """The physical state by quantity; the set-points alone if there is none."""
+        state = {key: value[:, 0] for key, value in found.quantities().items()}
+        state |= {key: value[:, 0] for key, value in found.exceeded().items() if key[1] in DESCRIBED}
+        if not found.optimal:
+            held = {key: aims.get(key, np.zeros_like(value)) for key, value in state.items()}
+            unknown = {key: np.full_like(value, np.nan) for key, value in state.items() if key[0] in _NETWORK}
+            state = held | unknown
+        return aims | state
+
+    @staticmethod
+    def _state(plan: Plan, values: Values, network: PerUnitNetwork) -> dict[str, Array]:
+        """The state that the next plan starts from, in physical units.
+
+        With ``generator_delay`` 1 the dispatch of the next stage is committed already, and stays as
+        planned; with 0 it is ramped from what was really generated, as far as the unit's limits go.
+        """
+        state = plan.next_state(values)
+        if plan.problem.generator_delay == 0 and "pg" in state:
+            table = network.generator
+            low, high = (table.arrays[field][:, 0] for field in ("p_min", "p_max"))
+            state["pg"] = np.clip(state["pg"], low * network.base_mva, high * network.base_mva)
+        return state
+
+
+def _with_energy(aims: Values, planned: Values, network: PerUnitNetwork, step: float) -> Values:
+    """The set-points, and the stored energy that follows where the power of a storage is not as planned."""
+    power, energy = ("storage", "ps"), ("storage", "e_next")
+    if energy not in planned or aims[power] is planned[power]:
+        return aims
+    table = network.storage
+    gain, drain = table.charge_efficiency[:, 0], 1.0 / table.discharge_efficiency[:, 0]
+    stored = [np.where(ps >= 0, gain * ps, drain * ps) for ps in (planned[power], aims[power])]
+    return aims | {energy: planned[energy] + step * (stored[1] - stored[0])}
+
+
+class SetPoints(Objective):
+    """Distance from set-points ``<quantity>_set``, which are numbers of every solve.
+
+    Parameters
+    ----------
+    prices
+        By quantity, $/h per p.u.; what costs nothing has a set-point for devices that hold it.
+    """
+
+    def __init__(self, prices: Mapping[Key, float]) -> None:
+        self.prices = prices
+
+    def series(self, network: PerUnitNetwork) -> Values:
+        """Set-points of zero, for want of a plan."""
+        return self.targets(network, {})
+
+    def targets(self, network: PerUnitNetwork, planned: Values) -> Values:
+        """Set-points ``(items, 1)`` as fields of the network, zero where a plan has none."""
+        made = {}
+        for kind, name in self.prices:
+            none = np.zeros(len(network.tables[kind]))
+            made[kind, f"{name}_set"] = planned.get((kind, name), none)[:, None]
+        return made
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Sum of the absolute differences; None where there is nothing to pay."""
+        cost: Any = None
+        for (kind, name), price in self.prices.items():
+            if price and stage.has(name):
+                quantities = getattr(stage, kind)
+                change = getattr(quantities, name) - getattr(quantities, f"{name}_set")
+                distance = price * total(largest(change, -change))
+                cost = distance if cost is None else cost + distance
+        return cost
+
+
+def one_stage(
+    problem: MultiStage, objective: Objective, devices: Sequence[Device], **options: Any
+) -> MultiStage:
+    """One stage of AC physics of the network of a problem."""
+    return MultiStage(
+        problem.network,
+        step=problem.step,
+        objective=objective,
+        devices=devices,
+        solver="ipopt",
+        options=_PRECISE,
+        **{"profiles": problem.profiles, **options},
+    )
+
+
+def set_points(plan: Plan) -> list[Key]:
+    """What a plan decides about devices: everything of theirs that is not a stock or a report."""
+    return [key for key in plan.decisions() if key[0] not in _NETWORK]
+
+
+def unit_of(plan: Plan, key: Key) -> str:
+    """Physical unit of a quantity of a plan."""
+    return plan.problem.described[key[1]][0]

@@ -1,0 +1,69 @@
+"""Set-points are changed as little as limits allow."""
+
+from __future__ import annotations
+
+import math
+
+from opfmodel.errors import ModelError
+from opfmodel.model import Elastic
+from opfmodel.network import PerUnitNetwork
+from opfmodel.plan import End, MultiStage, Plan
+from opfmodel.simulation.plants.base import Values
+from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of
+
+__all__ = ["Redispatch"]
+
+
+class Redispatch(ACPlant):
+    r"""The smallest change of set-points that keeps all AC limits, ramps and the limits of storages.
+
+    .. math::
+        \min\; \pi_p \sum |p^g - \hat p^g| + \pi_p \sum |p^s - \hat p^s|
+             + \pi_q \sum |q^g - \hat q^g| + \pi_q \sum |q^s - \hat q^s| + \text{elastic terms}
+
+    Reactive set-points that a plan lacks are zero. Demand is shed, and limits are exceeded, at the
+    prices of an elastic problem, so that there is an answer to every plan.
+
+    Parameters
+    ----------
+    price, reactive_price
+        :math:`\pi_p` and :math:`\pi_q` in $/MWh and $/MVArh; only their ratios to the others matter.
+    shedding_price
+        Of demand that is not served, $/MWh.
+    violation_price
+        Of limits that are exceeded, $/MWh; see :class:`opfmodel.Elastic`.
+    """
+
+    def __init__(
+        self,
+        price: float = 100.0,
+        reactive_price: float = 1.0,
+        shedding_price: float = 10_000.0,
+        violation_price: float = 50_000.0,
+    ) -> None:
+        super().__init__()
+        for name, value in (("price", price), ("reactive_price", reactive_price)):
+            if not 0 < value < math.inf:
+                raise ModelError(f"redispatch: {name} = {value!r}: must be a positive price")
+        self.price = price
+        self.reactive_price = reactive_price
+        self.elastic = Elastic(violation_price, shedding_price, 2.0 * violation_price)
+
+    def make(self, plan: Plan) -> MultiStage:
+        """All limits, and prices for the distance from set-points."""
+        wanted = list(dict.fromkeys([*ALWAYS, *set_points(plan)]))
+        reactive = (*ALWAYS[1::2], *(k for k in set_points(plan) if unit_of(plan, k) == "MVAr"))
+        base = plan.problem.arrays.base_mva
+        prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
+        # what is stored is worth a little, or a lossy store would charge and discharge at once
+        end = End(price=0.01 * self.price)
+        self._set_points = SetPoints(prices)
+        return one_stage(plan.problem, self._set_points, plan.problem.devices, elastic=self.elastic, end=end)
+
+    def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
+        """Change the set-points as little as possible."""
+        base = network.base_mva
+        before = None if self._before is None else self._before * base
+        dispatch = {"pg": before, "qg": None} if len(network.generator) else {}
+        initial = {**dispatch, **plan.stocks()}
+        return self.solve(plan.time, initial, self._set_points.targets(network, aims))

@@ -1,0 +1,154 @@
+"""What happened in a closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.model import NumericStage
+from opfmodel.objectives.base import Objective
+from opfmodel.plan import MultiStage
+from opfmodel.results import dataset
+from opfmodel.simulation.plants.base import Step
+from opfmodel.simulation.records import summarise
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Run"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass
+class Run:
+    """A closed loop, finished or not.
+
+    Attributes
+    ----------
+    status
+        ``running``; then ``done``, the status of the plan that failed, ``unsolved`` where the plant
+        found no state in some step, or ``stopped``. Finished steps are kept in any case.
+    termination
+        Why it ended.
+    interrupted
+        Whether that was Ctrl-C.
+    """
+
+    problem: MultiStage
+    objective: Objective
+    plans: list[dict[str, Any]] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+    status: str = "running"
+    termination: str = "the loop has not ended"
+    interrupted: bool = False
+    build_seconds: float = 0.0
+    _finished: xr.Dataset | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} $"
+        return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
+
+    def finish(self) -> None:
+        """Settle the status of a loop that went through all its steps."""
+        unsolved = [number for number, step in enumerate(self.steps) if not step.solved]
+        if unsolved:
+            first = unsolved[0]
+            self.status = "unsolved"
+            self.termination = (
+                f"the plant found no state in {len(unsolved)} of {len(self.steps)} steps, "
+                f"first in step {first}: {self.steps[first].status}"
+            )
+        else:
+            self.status, self.termination = "done", "all steps done"
+
+    def _stage(self) -> NumericStage:
+        """The realised quantities as numbers in per unit."""
+        network = self.problem.window(0, len(self.steps))
+        # what limits are exceeded by is there only in the steps of an elastic plan
+        absent = {key: np.zeros_like(value) for step in self.steps for key, value in step.values.items()}
+        values = {
+            key: np.column_stack([step.values.get(key, zero) for step in self.steps])
+            for key, zero in absent.items()
+        }
+        return NumericStage(network, self.problem.step, values, self.problem.devices)
+
+    @property
+    def cost_rate(self) -> Array:
+        """Stage cost of the realised trajectory, $/h; NaN in steps for which the plant found no state."""
+        return self._cost_rate(self._stage()) if self.steps else np.zeros(0)
+
+    def _cost_rate(self, stage: NumericStage) -> Array:
+        cost = self.objective.stage_cost(stage)
+        rate = np.zeros(len(self.steps)) if cost is None else np.asarray(cost, dtype=float)
+        return np.where([step.solved for step in self.steps], rate, np.nan)
+
+    @property
+    def cost(self) -> float:
+        """Realised cost over all steps, $; NaN unless the plant found a state in each."""
+        return float(self.cost_rate.sum()) * self.problem.step
+
+    @property
+    def data(self) -> xr.Dataset:
+        """Realised trajectories in physical units and the effort of each step; so far, in a running loop."""
+        if self.status == "running":  # it grows: nothing may be kept
+            return self._dataset()
+        if self._finished is None:
+            self._finished = self._dataset()
+        return self._finished
+
+    def _dataset(self) -> xr.Dataset:
+        stage = self._stage()
+        rate = self._cost_rate(stage)
+        described = {name: text for step in self.steps for name, text in step.described.items()}
+        quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
+        made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
+        made["cost_rate"] = ("time", rate, {"units": "$/h", "long_name": "stage cost"})
+        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
+            values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
+            made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
+        for key, words in (
+            ("plan_status", [plan["status"] for plan in self.plans[: len(self.steps)]]),
+            ("plant_status", [step.status for step in self.steps]),
+        ):
+            made[key] = ("time", np.array(words, dtype=str), {"long_name": key.replace("_", " ")})
+        controller = self.problem.formulation.name
+        made.attrs |= {
+            "network": self.problem.network.name,
+            "formulation": self.steps[-1].formulation if self.steps else controller,
+            "controller_formulation": controller,
+            "objective": type(self.problem.objective).__name__,
+            "status": self.status,
+            "termination": self.termination,
+            "step_hours": self.problem.step,
+            "cost": float(rate.sum()) * self.problem.step,
+        }
+        return made
+
+    def summary(self) -> dict[str, Any]:
+        """The run in a few numbers; None for a cost that is not known and for iterations nobody counted."""
+        seconds = [plan["solve_seconds"] for plan in self.plans]
+        iterations = [plan["iterations"] for plan in self.plans if plan["iterations"] is not None]
+        return {
+            "status": self.status,
+            "termination": self.termination,
+            "cost": None if not self.steps or np.isnan(self.cost) else self.cost,
+            "steps": len(self.steps),
+            "build_seconds": self.build_seconds,
+            "solve_seconds_mean": float(np.mean(seconds)) if seconds else 0.0,
+            "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
+            "iterations_mean": float(np.mean(iterations)) if iterations else None,
+            "retries": {
+                str(step): [f"{a['start']}: {a['status']}" for a in plan["attempts"]]
+                for step, plan in enumerate(self.plans)
+                if len(plan["attempts"]) > 1
+            },
+            "elastic_steps": sum(plan["status"] == "elastic" for plan in self.plans),
+            "diagnosis": {
+                str(step): plan["diagnosis"] for step, plan in enumerate(self.plans) if plan["diagnosis"]
+            },
+            **summarise(self.problem, self.steps),
+        }

@@ -1,0 +1,41 @@
+"""Expecting the average of what was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from opfmodel.errors import ProfileError
+from opfmodel.forecasts import Forecast
+from opfmodel.forecasts.base import FORECAST_FIELDS, part
+from opfmodel.profiles.series import Profiles
+
+__all__ = ["Average"]
+
+
+class Average(Forecast):
+    r"""The mean of the last values that were observed, for all steps ahead.
+
+    .. math::
+        \hat d(t + h) = \frac{1}{n} \sum_{i=1}^{n} d(t - i), \qquad n = \min(\mathrm{window}, t)
+
+    Before anything was observed it is the first value.
+
+    Parameters
+    ----------
+    window
+        Number of values.
+    """
+
+    def __init__(self, window: int = 24) -> None:
+        if window < 1:
+            raise ProfileError(f"average: window = {window}: must be a number of steps, at least 1")
+        self.window = window
+
+    def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
+        """The mean, as often as there are stages."""
+        expected = part(actual, time, stages)
+        for key, values in actual.series.items():
+            if key[1] in FORECAST_FIELDS:
+                seen = values[max(time - self.window, 0) : time] if time else values[:1]
+                expected[key] = np.full(stages, seen.mean())
+        return Profiles(expected)
