@@ -10,7 +10,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-from opfmodel.comparison import Comparison, compare, markdown
+from opfmodel.study.comparison import Comparison, compare, markdown
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "paper-table.md"

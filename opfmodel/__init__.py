@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from opfmodel.objectives.stored_energy_value import StoredEnergyValue
     from opfmodel.objectives.voltage_deviation import VoltageDeviation
     from opfmodel.plan import End, MultiStage, Plan
+    from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
     from opfmodel.profiles.series import Profiles
     from opfmodel.scenario import Scenario, load_scenario
-    from opfmodel.sequence import SingleStageSequence, single_stage_sequence
     from opfmodel.simulation import Controller, NominalPlant, Plant, PowerFlow, Redispatch, Run, simulate
     from solvers.expression import largest, total
 
@@ -77,7 +77,7 @@ _HOMES = {
     "opfmodel.plan": ("End", "MultiStage", "Plan"),
     "opfmodel.profiles.series": ("Profiles",),
     "opfmodel.scenario": ("Scenario", "load_scenario"),
-    "opfmodel.sequence": ("SingleStageSequence", "single_stage_sequence"),
+    "opfmodel.plan.single_stage": ("SingleStageSequence", "single_stage_sequence"),
     "opfmodel.simulation": (
         "Controller",
         "NominalPlant",

@@ -19,11 +19,11 @@ from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
     from opfmodel.check import Report
-    from opfmodel.comparison import Comparison
     from opfmodel.model import Elastic
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
     from opfmodel.study import Outcome
+    from opfmodel.study.comparison import Comparison
 
 __all__ = ["app", "main"]
 
@@ -244,7 +244,7 @@ def table(
     json_: JSON = False,
 ) -> int:
     """Compare economic control with single-stage optima and with tracking: J_e, J_s, J_t, J_b."""
-    from opfmodel import comparison
+    from opfmodel.study import comparison
 
     def say(what: str) -> None:
         if sys.stderr.isatty() and not json_:
@@ -547,7 +547,7 @@ def _print_comparisons(comparisons: list[Comparison]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from opfmodel.comparison import COSTS, rows
+    from opfmodel.study.comparison import COSTS, rows
 
     shown = Table("k$", box=None, pad_edge=False)
     for name in COSTS:

@@ -41,10 +41,10 @@ from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage, PhysicalStage
+from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
 from opfmodel.profiles.base import Workbook, constant
 from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
-from opfmodel.sequence import SingleStageSequence, single_stage_sequence
 from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
 from solvers import Kind, SolverError, find
 

@@ -10,7 +10,7 @@ from conftest import SCENARIOS
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.comparison import Comparison, compare, markdown
+from opfmodel.study.comparison import Comparison, compare, markdown
 
 # Costs of the two step systems from an independent program, in $; J_b is not unique.
 INDEPENDENT = {

@@ -10,9 +10,9 @@ from conftest import SCENARIOS, two_bus
 
 import opfmodel as om
 from opfmodel.check import check, losses
-from opfmodel.comparison import compare
 from opfmodel.errors import ModelError
 from opfmodel.simulation import Run
+from opfmodel.study.comparison import compare
 
 WAVE = {"town.p": [60, 80, 100, 100, 70, 60, 80, 90], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
 

@@ -15,7 +15,8 @@ from opfmodel.errors import ModelError
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import MultiStage, Plan
+from opfmodel.plan.multistage import MultiStage
+from opfmodel.plan.result import Plan
 from opfmodel.profiles.series import Profiles
 
 if TYPE_CHECKING:
