@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import name_pattern
+from opfmodel.data.columns import read_columns
 from opfmodel.errors import ConstraintError, ProfileError, nearest
 from opfmodel.model import Stage
 from opfmodel.network import Index
-from opfmodel.profiles.columns import read_columns
 from solvers import Sum, total
 
 __all__ = ["Limited", "Linear"]
@@ -149,7 +149,7 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
             raise ConstraintError("must be a number, a list, or {file: , column: }", key)
         path, heading = folder / str(value["file"]), str(value["column"])
         try:
-            return [float(number) for number in read_columns(path, steps, [heading])[heading]]
+            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
     numbers = []

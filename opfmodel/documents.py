@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.scalarbool import ScalarBoolean
 
+from opfmodel.data.files import read_text
 from opfmodel.errors import ScenarioError, nearest
 
 __all__ = ["Document", "check_name", "read_document", "validated"]
@@ -74,16 +75,7 @@ def read_document(path: str | Path) -> Document:
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     path = Path(path)
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ScenarioError(
-                f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; put series into data files"
-            )
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: cannot be read: {error}") from error
+    text = read_text(path, ScenarioError, _MOST_BYTES)
     yaml = YAML(typ="rt", pure=True)
     try:
         tree = yaml.load(text)

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
+from opfmodel.data.columns import read_columns
 from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
     CaseError,
@@ -42,7 +43,6 @@ from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage, PhysicalStage
 from opfmodel.profiles.base import Workbook, constant
-from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
 from opfmodel.sequence import SingleStageSequence, single_stage_sequence
 from opfmodel.simulation import (
@@ -634,7 +634,7 @@ def _setpoints(value: Any, scenario: Scenario) -> Setpoints:
             f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
         )
     if set(value) == {"file"}:
-        value = read_columns(scenario.path.parent / str(value["file"]), scenario.steps)
+        value = read_columns(scenario.path.parent / str(value["file"]), scenario.steps).values
     given = Setpoints(value)
     given.arrays(per_unit(scenario.network))  # so that a mistake has its place in the file
     return given
