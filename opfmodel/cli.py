@@ -20,6 +20,7 @@ from opfmodel.errors import OpfmodelError
 if TYPE_CHECKING:
     from opfmodel.check import Report
     from opfmodel.comparison import Comparison
+    from opfmodel.documents import Document
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
     from opfmodel.study import Outcome
@@ -265,16 +266,18 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
     """Check a scenario with its variants, a study or a network file without solving anything."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
+    from opfmodel.documents import read_document
     from opfmodel.network import per_unit
 
-    if _is_study(file):
-        return _validate_study(file, json_)
     if _is_scenario(file):
-        loaded = _scenario(file, variant, set_)
+        document = read_document(file)
+        if isinstance(document.content, dict) and "vary" in document.content:
+            return _validate_study(file, json_)
+        loaded = _scenario(document, variant, set_)
         network = loaded.network
         for name in loaded.settings.variants if variant is None else ():
             try:
-                _scenario(file, name, set_)
+                _scenario(document, name, set_)
             except OpfmodelError as error:
                 raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
@@ -442,15 +445,6 @@ def _is_scenario(file: Path) -> bool:
     return file.suffix.lower() in (".yaml", ".yml")
 
 
-def _is_study(file: Path) -> bool:
-    from opfmodel.documents import read_document
-
-    if not _is_scenario(file):
-        return False
-    content = read_document(file).content
-    return isinstance(content, dict) and "vary" in content
-
-
 def _validate_study(file: Path, as_json: bool) -> int:
     from opfmodel.study import read_study
 
@@ -464,28 +458,22 @@ def _validate_study(file: Path, as_json: bool) -> int:
 
 
 def _scenario(
-    file: Path,
+    file: Path | Document,
     variant: str | None,
     overrides: list[str] | None,
     changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+    from opfmodel.data.yaml import parse
     from opfmodel.scenario import load_scenario
 
-    if not _is_scenario(file):
+    if isinstance(file, Path) and not _is_scenario(file):
         raise OpfmodelError(f"{file}: a scenario file ends in .yaml")
     values: dict[str, Any] = {}
     for item in overrides or []:
         key, equals, text = item.partition("=")
         if not equals or not key:
             raise OpfmodelError(f"--set {item}: write KEY=VALUE, for instance controller.horizon=24")
-        try:
-            values[key] = YAML(typ="safe", pure=True).load(text)
-        except YAMLError as error:
-            problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-            raise OpfmodelError(f"--set {item}: the value is not YAML: {problem}") from error
+        values[key], _ = parse(text, f"--set {key}")
     return load_scenario(file, variant, {**values, **(changes or {})})
 
 

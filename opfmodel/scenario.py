@@ -252,12 +252,14 @@ class Scenario:
 
 
 def load_scenario(
-    path: str | Path, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+    path: str | Path | Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
 ) -> Scenario:
     """Read a scenario file.
 
     Parameters
     ----------
+    path
+        The file, or its content where it has been read already.
     variant
         One of the file's variants, whose keys are laid over the others.
     overrides
@@ -269,7 +271,7 @@ def load_scenario(
         The file breaks its schema: an unknown key, a wrong type, a value out of range; the
         message names file, line, column and what would be accepted.
     """
-    document = read_document(path)
+    document = path if isinstance(path, Document) else read_document(path)
     content = laid_over(document, variant, overrides)
     if variant is not None:
         document = document.over(("variants", variant))

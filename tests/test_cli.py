@@ -178,7 +178,7 @@ def test_list(call: Call) -> None:
         (("solve", CASE14, "--variant", "x"), "are for scenario files"),
         (("run", CASE5, "--set", "controller"), "write KEY=VALUE"),
         (("run", CASE5, "--set", "controller.x=1"), "controller.x: unknown key"),
-        (("run", CASE5, "--set", "time.steps=[1"), "the value is not YAML"),
+        (("run", CASE5, "--set", "time.steps=[1"), "--set time.steps:1:1: not YAML"),
         (
             ("run", CASE5, "--set", "controller.solver.options={no_such: 1}"),
             "ipopt refused its options {'no_such': 1}",
