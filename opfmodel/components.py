@@ -27,6 +27,7 @@ from typing import Any, ClassVar, Self, TypeGuard, TypeVar
 import numpy as np
 
 from opfmodel.errors import ComponentError, NetworkError, nearest
+from opfmodel.text import name_fault
 
 __all__ = [
     "BUILT_IN",
@@ -602,6 +603,8 @@ class Network:
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
         if not _is_number(base_mva) or not 0 < base_mva < INF:
             raise NetworkError(f"network {name!r}: base_mva = {base_mva!r}: must be a positive number")
+        if fault := name_fault(str(name)):
+            raise NetworkError(f"network {name!r}: the name {fault}")
         object.__setattr__(self, "name", str(name))
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
@@ -612,7 +615,7 @@ class Network:
         Raises
         ------
         NetworkError
-            The name is taken.
+            The name is taken, or has characters that cannot be seen.
         ComponentError
             A field of the component breaks its rule.
         """
@@ -626,6 +629,8 @@ class Network:
                 f"network {self.name!r}: the name {name!r} is taken by a {self._components[name].kind}; "
                 "names must be unique"
             )
+        if fault := name_fault(name):
+            raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
         component.check(name)
         self._components[name] = component
         return component

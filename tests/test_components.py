@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.components import Component
-from opfmodel.errors import ComponentError, NetworkError
+from opfmodel.errors import ComponentError, ModelError, NetworkError
 
 
 def test_a_component_is_read_back_by_name(grid: om.Network) -> None:
@@ -53,6 +53,26 @@ def test_fields_can_be_updated(grid: om.Network) -> None:
 def test_a_misspelt_field_is_said_with_the_nearest() -> None:
     with pytest.raises(ComponentError, match=r"Generator: rmap = 3: unknown field; did you mean 'ramp'\?"):
         om.Generator("a", p=(0, 1), rmap=3)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    "character", ["\x1b", "\n", "\x00", "\x7f", "\x9b", "\u200b", "\u2028", "\u2029", "\ud800"]
+)
+def test_names_have_visible_characters_only(character: str, grid: om.Network) -> None:
+    name = f"a{character}b"
+    with pytest.raises(NetworkError, match="visible") as caught:
+        grid.add(name, om.Bus())
+    assert str(caught.value).isprintable()
+    assert name not in grid
+    with pytest.raises(NetworkError, match="visible"):
+        om.Network(name)
+    with pytest.raises(ModelError, match="visible"):
+        om.MultiStage(grid).constrain(name, lambda stage: om.total(stage.generator.pg) >= 0)
+
+
+def test_names_may_have_any_letter(grid: om.Network) -> None:
+    for name in ("Łódź 110 kV", "北京", "a\u00a0b", "№ 5/2", "😀"):
+        assert grid.add(name, om.Bus()) is grid[name]
 
 
 def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:

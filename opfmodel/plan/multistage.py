@@ -26,6 +26,7 @@ from opfmodel.plan.end import End
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.result import Plan
 from opfmodel.profiles.series import Profiles
+from opfmodel.text import name_fault
 from opfmodel.units import scale
 from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare, total
 
@@ -181,6 +182,8 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
         if name in self._constraints:
             raise ModelError(f"two constraints are named {name!r}")
+        if fault := name_fault(name):
+            raise ModelError(f"constraint {name!r}: the name {fault}")
         limits = limit_of(name, "at_least", at_least, -np.inf), limit_of(name, "at_most", at_most, np.inf)
         self._constraints[name] = OwnConstraint(constraint, *limits)
 
