@@ -15,6 +15,8 @@ from opfmodel.data.columns import read_columns
 from opfmodel.errors import ConstraintError, ProfileError, nearest
 from opfmodel.model import Stage
 from opfmodel.network import Index
+from opfmodel.text import shown
+from opfmodel.units import bounded
 from solvers import Sum, total
 
 __all__ = ["Limited", "Linear"]
@@ -47,8 +49,8 @@ class Linear:
         if not terms:
             raise ConstraintError("needs at least one term, for instance generator.pg: 1", "terms")
         for key, factor in terms.items():
-            if isinstance(factor, bool) or not isinstance(factor, int | float) or not np.isfinite(factor):
-                raise ConstraintError(f"{factor!r}: the factor must be a finite number", "terms", key)
+            if isinstance(factor, bool) or not isinstance(factor, int | float) or not bounded(factor):
+                raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
             owner, dot, quantity = str(key).rpartition(".")
             if not (owner and dot and quantity):
                 raise ConstraintError(
@@ -154,8 +156,8 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
             raise ConstraintError(str(error), key) from error
     numbers = []
     for number in value if isinstance(value, list) else [value]:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
-            raise ConstraintError(f"{number!r}: must be a finite number, or a list of one per step", key)
+        if isinstance(number, bool) or not isinstance(number, int | float) or not bounded(number):
+            raise ConstraintError(f"{shown(number)}: must be a finite number, or a list of one per step", key)
         numbers.append(float(number))
     if not isinstance(value, list):
         return numbers[0]

@@ -11,6 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
+from opfmodel.text import shown
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
@@ -129,7 +130,7 @@ def make(
     Parameters
     ----------
     options
-        Keyword arguments of the constructor, checked against its annotations.
+        Keyword arguments of the constructor, checked against its annotations; numbers are finite.
     convert
         How values of a file become objects of a type, for options annotated with it.
 
@@ -155,11 +156,11 @@ def make(
         hint = hints.get(key, Any)
         converter = (convert or {}).get(hint)
         try:
-            adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+            adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
             checked[key] = adapter.validate_python(value if converter is None else converter(value))
         except ValidationError as error:
             reason = error.errors()[0]["msg"].removeprefix("Value error, ")
-            raise PluginError(f"{sort} {name!r}: {key} = {value!r}: {reason}", key) from None
+            raise PluginError(f"{sort} {name!r}: {key} = {shown(value)}: {reason}", key) from None
     missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
     if missing:
         raise PluginError(f"{sort} {name!r} needs the option {missing[0]!r}")

@@ -56,6 +56,8 @@ from opfmodel.simulation import (
     check_answer,
     simulate,
 )
+from opfmodel.text import name_fault, shown
+from opfmodel.units import LARGEST, STEP_HOURS, bounded
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "laid_over", "load_scenario"]
@@ -70,11 +72,11 @@ Spec = str | dict[str, Any] | list[str | dict[str, Any]]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class _Time(_Section):
-    step: float = Field(1.0, gt=0, description="hours")
+    step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
     steps: int = Field(1, ge=1)
 
 
@@ -275,6 +277,7 @@ def load_scenario(
     content = laid_over(document, variant, overrides)
     if variant is not None:
         document = document.over(("variants", variant))
+    _check_numbers(document, content)
     settings = validated(document, content, _File)
     if settings.name is not None:
         check_name(document, ("name",), settings.name)
@@ -347,6 +350,21 @@ def laid_over(
 # Reading the parts ------------------------------------------------------------------------------
 
 
+def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
+    """Raise an error for a number that is none, or that would overflow when it is squared.
+
+    Infinity is accepted here, for it means "no limit" in some places; options of solvers are theirs.
+    """
+    for part, value in content.items() if isinstance(content, dict) else enumerate(content):
+        if isinstance(value, dict | list):
+            if (*key, part) != ("controller", "solver"):
+                _check_numbers(document, value, (*key, part))
+        elif isinstance(value, int | float) and not bounded(value) and abs(value) != np.inf:
+            raise document.error(
+                (*key, part), f"{shown(value)}: must be a finite number of at most {LARGEST:g}"
+            )
+
+
 def _overlay(base: Any, over: Any) -> Any:
     """``over`` laid over ``base``: mappings key by key, anything else replaced."""
     if isinstance(base, dict) and isinstance(over, dict):
@@ -416,7 +434,13 @@ class _Declarations:
     def _start(self, name: str) -> Network:
         file, base_mva = self.section.get("file"), self.section.get("base_mva")
         if file is None:
-            return Network(self.section.get("name", name), 100.0 if base_mva is None else base_mva)
+            named = self.section.get("name", name)
+            if not isinstance(named, str) or name_fault(named):
+                raise self.document.error(
+                    ("network", "name"), f"{shown(named)}: must be text of visible characters"
+                )
+            with _located(self.document, ("network", "base_mva")):
+                return Network(named, 100.0 if base_mva is None else base_mva)
         if not isinstance(file, str):
             raise self.document.error(("network", "file"), "must be a path, relative to this file")
         if base_mva is not None:
@@ -528,15 +552,24 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
         name, options = _single(document, key, spec)
-        with _located(document, (*key, name)):
+        before = dict(book.series)
+        with _located(document, (*key, name)), _sourced(book):
             plugins.make("profile", name, options).apply(book)
-    with _located(document, ("profiles",)):
+            changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
+            Profiles.of(changed).check_finite(network)
+    with _located(document, ("profiles",)), _sourced(book):
         made = Profiles.of(book.series)
-        try:
-            made.check(network, per_unit(network))
-        except ProfileError as error:
-            raise ProfileError(f"{book.source(error)}{error}") from error
+        made.check(network, per_unit(network))
         return made
+
+
+@contextmanager
+def _sourced(book: Workbook) -> Iterator[None]:
+    """Give errors about a value from a file the line and column where it stands."""
+    try:
+        yield
+    except ProfileError as error:
+        raise ProfileError(f"{book.source(error)}{error}") from error
 
 
 def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
@@ -590,8 +623,8 @@ def _objective(
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
-            raise document.error((*key, number, "weight"), f"{weight!r}: must be a number, at least 0")
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight < np.inf:
+            raise document.error((*key, number, "weight"), f"{shown(weight)}: must be a number, at least 0")
         parts.append((float(weight), _objective(document, (*key, number), rest, convert)))
     if not parts:
         raise document.error(key, "needs at least one objective")

@@ -27,7 +27,7 @@ from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.result import Plan
 from opfmodel.profiles.series import Profiles
 from opfmodel.text import name_fault
-from opfmodel.units import scale
+from opfmodel.units import STEP_HOURS, scale
 from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare, total
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
@@ -103,8 +103,10 @@ class MultiStage:
     ) -> None:
         if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 1:
             raise ModelError(f"horizon = {horizon!r}: must be a whole number of stages, at least 1")
-        if isinstance(step, bool) or not isinstance(step, int | float | np.number) or not 0 < step < np.inf:
-            raise ModelError(f"step = {step!r}: must be a positive number of hours")
+        shortest, longest = STEP_HOURS
+        numeric = isinstance(step, int | float | np.number) and not isinstance(step, bool)
+        if not (numeric and shortest <= step <= longest):
+            raise ModelError(f"step = {step!r}: must be a number of hours from {shortest:g} to {longest:g}")
         if generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
         self.network = network
