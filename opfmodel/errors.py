@@ -19,6 +19,7 @@ __all__ = [
     "QuantityError",
     "ResultError",
     "ScenarioError",
+    "SizeError",
     "StudyError",
     "nearest",
 ]
@@ -129,6 +130,10 @@ class ResultError(OpfmodelError):
 
 class ScenarioError(OpfmodelError):
     """A scenario or study file breaks its schema; the message names file, line and column."""
+
+
+class SizeError(OpfmodelError):
+    """What is asked for needs more memory than the machine has; nothing of it was allocated."""
 
 
 class StudyError(OpfmodelError):

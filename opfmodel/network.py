@@ -130,6 +130,11 @@ class PerUnitNetwork:
         return self.tables["shunt"]
 
     @property
+    def n_components(self) -> int:
+        """Number of components of all kinds."""
+        return sum(map(len, self.tables.values()))
+
+    @property
     def n_islands(self) -> int:
         """Number of islands."""
         return len(self.reference)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
-from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
+from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
 from opfmodel.data.columns import read_columns
 from opfmodel.documents import Document, check_name, read_document, validated
@@ -38,6 +38,7 @@ from opfmodel.errors import (
 )
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
+from opfmodel.memory import check_memory, run_bytes, series_bytes
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
@@ -548,6 +549,7 @@ def component_kinds() -> tuple[list[type[Component]], list[str]]:
 
 def _profiles(document: Document, settings: _File, network: Network) -> Profiles:
     steps = settings.time.steps + settings.controller.horizon - 1
+    _check_size(document, settings, network)
     book = Workbook(network, steps, settings.time.step, document.path.parent)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
@@ -561,6 +563,16 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
         made = Profiles.of(book.series)
         made.check(network, per_unit(network))
         return made
+
+
+def _check_size(document: Document, settings: _File, network: Network) -> None:
+    """Raise an error before series are made, or a run is begun, for which there is no memory."""
+    steps, horizon = settings.time.steps, settings.controller.horizon
+    loads = len(network.of(Load))
+    with _located(document, ("time", "steps")):
+        check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
+    with _located(document, ("controller", "horizon")):
+        check_memory(f"{horizon:,} with {steps:,} steps", series_bytes(loads, steps + horizon))
 
 
 @contextmanager

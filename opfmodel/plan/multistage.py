@@ -16,6 +16,7 @@ from opfmodel.components import Network
 from opfmodel.elastic import Elastic, Soft
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
+from opfmodel.memory import check_memory, problem_bytes
 from opfmodel.model import Device, Model, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
@@ -114,6 +115,8 @@ class MultiStage:
         self.step = float(step)
         self.arrays = per_unit(network)
         self.formulation = make_formulation(formulation)
+        needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
+        check_memory(f"horizon = {horizon:,}", needed)
         self.objective = Economic() if objective is None else objective
         if not isinstance(self.objective, Objective):
             raise ModelError(f"objective = {objective!r}: must be an objective, such as Economic()")

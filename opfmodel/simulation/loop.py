@@ -16,6 +16,7 @@ from opfmodel.elastic import Elastic
 from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.forecasts.perfect import Perfect
+from opfmodel.memory import check_memory, run_bytes
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
@@ -298,6 +299,8 @@ def simulate(
     ------
     ModelError
         The time series are too short, or the forecast is imperfect and the plant nominal.
+    SizeError
+        The results of so many steps need more memory than the machine has.
     """
     if isinstance(controller, MultiStage):
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
@@ -308,6 +311,7 @@ def simulate(
     plant = NominalPlant() if plant is None else plant
     check_answer(controller.forecast, plant)
     problem = controller.problem
+    check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
     needed, length = steps + problem.horizon - 1, problem.profiles.length
     if length is not None and length < needed:
         raise ModelError(
