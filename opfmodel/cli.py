@@ -10,15 +10,20 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from enum import StrEnum
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from opfmodel.errors import OpfmodelError
+from opfmodel.text import visible
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from opfmodel.check import Report
+    from opfmodel.documents import Document
     from opfmodel.model import Elastic
     from opfmodel.plan import MultiStage, Plan
     from opfmodel.scenario import Scenario
@@ -77,6 +82,8 @@ _CTRL_C = 130  # what Typer makes of it
 def main() -> NoReturn:
     """Run the command line; a mistake in the input is one line on standard error and exit status 2."""
     as_json = "--json" in sys.argv[1:]
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error: a name is no reason to stop
     warnings.showwarning = _show_warning
     try:
         code = app(standalone_mode=False)
@@ -106,9 +113,9 @@ def _mistake(error: Exception) -> str | None:
 
 
 def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
-    print(f"error: {message}", file=sys.stderr)
+    _remark(f"error: {message}")
     if as_json:
-        print(json.dumps({"error": message}))
+        _print(_json({"error": message}))
     sys.exit(code)
 
 
@@ -116,7 +123,7 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
     from opfmodel.errors import CaseWarning, ProfileWarning
 
     if issubclass(category, CaseWarning | ProfileWarning):
-        print(f"warning: {message}", file=sys.stderr)
+        _remark(f"warning: {message}")
 
 
 # Commands ---------------------------------------------------------------------------------------
@@ -182,7 +189,7 @@ def solve(
         )
         _print_diagnosis(diagnosis)
         if plan.status.endswith("infeasible") and on_infeasible != "elastic":
-            print(_ELASTIC)
+            _print(_ELASTIC)
     return 0 if plan.optimal else 1
 
 
@@ -233,7 +240,7 @@ def run(
         _print_notes(done.problem.notes)
         _print_run(summary, folder, exceeded)
         if done.status.endswith("infeasible") and loaded.settings.controller.on_infeasible == "stop":
-            print(_ELASTIC)
+            _print(_ELASTIC)
     return 0 if done.status == "done" else 1
 
 
@@ -248,7 +255,7 @@ def table(
 
     def say(what: str) -> None:
         if sys.stderr.isatty() and not json_:
-            print(what, file=sys.stderr)
+            _remark(what)
 
     for path in scenarios:
         _scenario(path, None, None)  # so that a mistake in any file is said before hours of work
@@ -257,12 +264,12 @@ def table(
     if json_:
         _print_json({"rows": [row.as_dict() for row in rows]})
     elif markdown:
-        print(comparison.markdown(rows))
+        _print_lines(comparison.markdown(rows).splitlines())
     else:
         _print_comparisons(rows)
     for row in rows:
         for name, why in row.failures.items():
-            print(f"{row.scenario}: no {name}: {why}", file=sys.stderr)
+            _remark(f"{row.scenario}: no {name}: {why}")
     return 1 if any(row.failures for row in rows) else 0
 
 
@@ -271,16 +278,18 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
     """Check a scenario with its variants, a study or a network file without solving anything."""
     from opfmodel.cases import read_network
     from opfmodel.components import Polynomial
+    from opfmodel.documents import read_document
     from opfmodel.network import per_unit
 
-    if _is_study(file):
-        return _validate_study(file, json_)
     if _is_scenario(file):
-        loaded = _scenario(file, variant, set_)
+        document = read_document(file)
+        if isinstance(document.content, dict) and "vary" in document.content:
+            return _validate_study(file, json_)
+        loaded = _scenario(document, variant, set_)
         network = loaded.network
         for name in loaded.settings.variants if variant is None else ():
             try:
-                _scenario(file, name, set_)
+                _scenario(document, name, set_)
             except OpfmodelError as error:
                 raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
@@ -291,7 +300,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
         _print_json({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)})
     else:
         _print_notes(arrays.notes)
-        print(f"{file}: valid; {network!r}")
+        _print(f"{file}: valid; {network!r}")
     return 0
 
 
@@ -309,7 +318,7 @@ def plot_(
     if json_:
         _print_json({"figures": [str(path) for path in written]})
     else:
-        print("\n".join(str(path) for path in written))
+        _print_lines(str(path) for path in written)
     return 0
 
 
@@ -324,12 +333,11 @@ def list_(json_: JSON = False) -> int:
         return 0
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
     table = Table("sort", "name", "origin", "what it is and its options", box=None, pad_edge=False)
     for entry in entries:
-        options = f"\n  {', '.join(entry.options)}" if entry.options else ""
-        table.add_row(entry.sort, entry.name, entry.origin, Text(entry.summary + options))
+        lines = [entry.summary, f"  {', '.join(entry.options)}"] if entry.options else [entry.summary]
+        table.add_row(*map(_text, (entry.sort, entry.name, entry.origin)), _text(*lines))
     Console().print(table)
     return 0
 
@@ -448,15 +456,6 @@ def _is_scenario(file: Path) -> bool:
     return file.suffix.lower() in (".yaml", ".yml")
 
 
-def _is_study(file: Path) -> bool:
-    from opfmodel.documents import read_document
-
-    if not _is_scenario(file):
-        return False
-    content = read_document(file).content
-    return isinstance(content, dict) and "vary" in content
-
-
 def _validate_study(file: Path, as_json: bool) -> int:
     from opfmodel.study import read_study
 
@@ -465,33 +464,27 @@ def _validate_study(file: Path, as_json: bool) -> int:
     if as_json:
         _print_json({"valid": True, "runs": len(study), "axes": axes})
     else:
-        print(f"{file}: valid; {len(study)} runs: " + " x ".join(f"{n} {name}" for name, n in axes.items()))
+        _print(f"{file}: valid; {len(study)} runs: " + " x ".join(f"{n} {name}" for name, n in axes.items()))
     return 0
 
 
 def _scenario(
-    file: Path,
+    file: Path | Document,
     variant: str | None,
     overrides: list[str] | None,
     changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+    from opfmodel.data.yaml import parse
     from opfmodel.scenario import load_scenario
 
-    if not _is_scenario(file):
+    if isinstance(file, Path) and not _is_scenario(file):
         raise OpfmodelError(f"{file}: a scenario file ends in .yaml")
     values: dict[str, Any] = {}
     for item in overrides or []:
         key, equals, text = item.partition("=")
         if not equals or not key:
             raise OpfmodelError(f"--set {item}: write KEY=VALUE, for instance controller.horizon=24")
-        try:
-            values[key] = YAML(typ="safe", pure=True).load(text)
-        except YAMLError as error:
-            problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-            raise OpfmodelError(f"--set {item}: the value is not YAML: {problem}") from error
+        values[key], _ = parse(text, f"--set {key}")
     return load_scenario(file, variant, {**values, **(changes or {})})
 
 
@@ -524,23 +517,50 @@ def _flush_libraries() -> None:
 def _print_json(result: Mapping[str, Any]) -> None:
     from opfmodel.results import finite
 
-    print(json.dumps(finite(result), allow_nan=False))
+    _print(_json(finite(result)))
+
+
+def _json(result: Mapping[str, Any]) -> str:
+    """JSON in printable characters; DEL is the one control character that ``json`` writes as it is."""
+    return json.dumps(result, allow_nan=False).replace("\x7f", "\\u007f")
+
+
+def _print(line: str) -> None:
+    """Print a line of results."""
+    print(visible(line))  # noqa: T201
+
+
+def _remark(line: str) -> None:
+    """Print a line that is no result: an error, a warning, a note."""
+    print(visible(line), file=sys.stderr)  # noqa: T201
+
+
+def _print_lines(lines: Iterable[str]) -> None:
+    for line in lines:
+        _print(line)
+
+
+def _text(*lines: str) -> Text:
+    """A cell of a table; square brackets in it are no markup."""
+    from rich.text import Text
+
+    return Text("\n".join(map(visible, lines)))
 
 
 def _print_notes(notes: tuple[str, ...]) -> None:
     for note in notes:
-        print(f"note: {note}", file=sys.stderr)
+        _remark(f"note: {note}")
 
 
 def _print_pairs(pairs: Mapping[str, str]) -> None:
     width = max(len(key) for key in pairs)
     for key, value in pairs.items():
-        print(f"{key:<{width}}  {value}")
+        _print(f"{key:<{width}}  {value}")
 
 
 def _print_diagnosis(sentences: list[str], label: str = "lacking") -> None:
     for sentence in sentences:
-        print(f"{label}: {sentence}")
+        _print(f"{label}: {sentence}")
 
 
 def _print_comparisons(comparisons: list[Comparison]) -> None:
@@ -553,7 +573,7 @@ def _print_comparisons(comparisons: list[Comparison]) -> None:
     for name in COSTS:
         shown.add_column(name, justify="right")
     for row in rows(comparisons):
-        shown.add_row(*row)
+        shown.add_row(*map(_text, row))
     Console().print(shown)
 
 
@@ -622,7 +642,7 @@ def _print_outcome(name: str, outcome: Outcome) -> None:
         counts["waiting"] = outcome.waiting
     status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "not all done"
     for run, error in outcome.failures.items():
-        print(f"failed: {run}: {error}", file=sys.stderr)
+        _remark(f"failed: {run}: {error}")
     _print_pairs(
         {
             "study": name,
@@ -635,9 +655,10 @@ def _print_outcome(name: str, outcome: Outcome) -> None:
 
 
 def _print_table(lines: list[list[str]]) -> None:
+    lines = [[visible(cell) for cell in line] for line in lines]
     widths = [max(len(line[place]) for line in lines) for place in range(len(lines[0]))]
     for line in lines:
-        print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+        _print("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
 
 
 def _cell(value: Any) -> str:

@@ -27,6 +27,8 @@ from typing import Any, ClassVar, Self, TypeGuard, TypeVar
 import numpy as np
 
 from opfmodel.errors import ComponentError, NetworkError, nearest
+from opfmodel.text import name_fault
+from opfmodel.units import BASE_MVA, LARGEST, bounded
 
 __all__ = [
     "BUILT_IN",
@@ -50,6 +52,7 @@ __all__ = [
 
 C = TypeVar("C", bound="Component")
 INF = math.inf
+_LEAST_IMPEDANCE = 1e-12  # p.u.; admittances are squared
 
 
 # Fields: what a component's dataclass says about each of its quantities -----------------------
@@ -76,6 +79,8 @@ def number(
         What values are accepted.
     optional
         Whether ``None`` is accepted; it means "no limit" and becomes infinity.
+    finite
+        Whether infinity is refused; a field that accepts it says "no limit" by it, in time series too.
     series
         Whether the field may change in time; coefficients of a program's equations do not.
     """
@@ -123,6 +128,9 @@ def flag(default: bool) -> Any:
     return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
 
 
+_FINITE = f"must be a finite number of at most {LARGEST:g}"
+
+
 def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
@@ -132,8 +140,8 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
         return
     if not _is_number(value):
         raise ComponentError(name, key, value, f"must be a number in {_unit(rules)}")
-    if math.isnan(value) or (rules["finite"] and math.isinf(value)):
-        raise ComponentError(name, key, value, "must be a finite number")
+    if not bounded(value) and (rules["finite"] or abs(value) != INF):
+        raise ComponentError(name, key, value, _FINITE)
     if value < rules["at_least"]:
         raise ComponentError(name, key, value, f"must be at least {rules['at_least']:g}")
     if value <= rules["above"]:
@@ -144,7 +152,9 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
 
 def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
     if rules["symmetric"] and _is_number(value):
-        if not value >= 0:
+        if not (bounded(value) or abs(value) == INF):
+            raise ComponentError(name, key, value, _FINITE)
+        if value < 0:
             raise ComponentError(
                 name, key, value, "a single number stands for (-a, a); it must be at least 0"
             )
@@ -153,8 +163,13 @@ def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) ->
         raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
     low, high = value
     for end in (low, high):
-        if not _is_number(end) or math.isnan(end):
-            raise ComponentError(name, key, value, f"both ends must be numbers in {_unit(rules)}")
+        if not _is_number(end) or not (bounded(end) or abs(end) == INF):
+            raise ComponentError(
+                name,
+                key,
+                value,
+                f"both ends must be numbers in {_unit(rules)} of at most {LARGEST:g}, or infinite",
+            )
     if low > high:
         raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
     if low == INF or high == -INF:
@@ -197,8 +212,10 @@ class Polynomial(Cost):
     def check(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless the coefficients are finite and ``c2 >= 0``."""
         for coefficient in (self.c2, self.c1, self.c0):
-            if not _is_number(coefficient) or not math.isfinite(coefficient):
-                raise ComponentError(name, key, self, "the coefficients must be finite numbers")
+            if not _is_number(coefficient) or not bounded(coefficient):
+                raise ComponentError(
+                    name, key, self, f"the coefficients must be finite numbers of at most {LARGEST:g}"
+                )
         if self.c2 < 0:
             raise ComponentError(name, key, self, "must be convex: c2 must be at least 0")
 
@@ -237,10 +254,12 @@ class PiecewiseLinear(Cost):
         values = [v for point in self.points for v in point]
         if len(self.points) < 2 or any(len(point) != 2 for point in self.points):
             raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
-        if not all(_is_number(v) and math.isfinite(v) for v in values):
-            raise ComponentError(name, key, self, "the points must be finite numbers")
+        if not all(_is_number(v) and bounded(v) for v in values):
+            raise ComponentError(name, key, self, f"the points must be finite numbers of at most {LARGEST:g}")
         if any(a[0] >= b[0] for a, b in pairwise(self.points)):
             raise ComponentError(name, key, self, "the points must have increasing MW")
+        if not all(map(bounded, self.slopes)):
+            raise ComponentError(name, key, self, f"the slopes must be at most {LARGEST:g} $/MWh")
         for first, second in pairwise(self.slopes):
             if second < first - 1e-9 * max(1.0, abs(first)):
                 raise ComponentError(
@@ -314,6 +333,23 @@ class Component:
     def bus_fields(cls) -> tuple[str, ...]:
         """Names of the fields that name a bus."""
         return tuple(name for name, item in cls.fields().items() if item.metadata["form"] == "bus")
+
+    @classmethod
+    def unlimited(cls, key: str) -> float | None:
+        """The infinity by which a field of the table says that there is no limit; None if it cannot.
+
+        Examples
+        --------
+        >>> Branch.unlimited("rating"), Generator.unlimited("q_min"), Load.unlimited("p")
+        (inf, -inf, None)
+        """
+        known = cls.fields()
+        if key in known and known[key].metadata["form"] == "number":
+            return None if known[key].metadata["finite"] else INF
+        stem, _, end = key.rpartition("_")
+        default: Any = known[stem].default if end in ("min", "max") and stem in known else None
+        value = float(default[end == "max"]) if isinstance(default, tuple) else 0.0
+        return value if math.isinf(value) else None
 
     @property
     def buses(self) -> tuple[str, ...]:
@@ -399,7 +435,7 @@ class Branch(Component):
     rating
         Limit of the apparent power at both ends, MVA; None for no limit.
     tap, shift
-        Transformer ratio and phase shift in degrees.
+        Transformer ratio, from 0.001 to 1000, and phase shift in degrees.
     angle
         ``(min, max)`` of the angle difference from - to, degrees; beyond ±360 there is no limit.
     g_from, b_from, g_to, b_to
@@ -416,7 +452,7 @@ class Branch(Component):
     b: float = number("p.u. admittance", 0.0, series=False)
     g: float = number("p.u. admittance", 0.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
-    tap: float = number("", 1.0, above=0.0, series=False)
+    tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False)
     shift: float = number("deg", 0.0, series=False)
     angle: tuple[float, float] = span("deg", (-360.0, 360.0), series=False)
     g_from: float = number("p.u. admittance", 0.0, series=False)
@@ -426,11 +462,15 @@ class Branch(Component):
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
-        """Raise :class:`ComponentError` if a field breaks its rule or the impedance is zero."""
+        """Raise :class:`ComponentError` if a field breaks its rule or the impedance is next to zero."""
         super().check(name)
-        if self.r == 0 and self.x == 0:
+        if math.hypot(self.r, self.x) < _LEAST_IMPEDANCE:
             raise ComponentError(
-                name, "r, x", (self.r, self.x), "the impedance must not be zero; merge the two buses instead"
+                name,
+                "r, x",
+                (self.r, self.x),
+                f"the impedance must not be zero, but at least {_LEAST_IMPEDANCE:g} p.u.; "
+                "merge the two buses instead",
             )
         if self.from_bus == self.to_bus:
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
@@ -482,7 +522,7 @@ class Storage(Component):
     energy_min
         Least energy, MWh.
     charge_efficiency, discharge_efficiency
-        Between 0 and 1.
+        From 0.001 to 1.
     standing_loss
         Fraction of the energy lost per hour.
     rating
@@ -501,8 +541,8 @@ class Storage(Component):
     q: float | tuple[float, float] = span("MVAr", (0.0, 0.0), symmetric=True)
     initial: float | None = number("MWh", None, at_least=0.0, optional=True, series=False)
     energy_min: float = number("MWh", 0.0, at_least=0.0)
-    charge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0, series=False)
-    discharge_efficiency: float = number("", 1.0, above=0.0, at_most=1.0, series=False)
+    charge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
+    discharge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
     standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
     exclusive: bool = flag(False)
@@ -587,8 +627,8 @@ class Network:
     name
         Name of the network.
     base_mva
-        Power base of the impedances and admittances of its branches, MVA. No result depends on it: inside,
-        everything is per unit on :attr:`scale_mva`.
+        Power base of the impedances and admittances of its branches, from 1e-6 to 1e9 MVA. No result depends
+        on it: inside, everything is per unit on :attr:`scale_mva`.
 
     Examples
     --------
@@ -601,8 +641,13 @@ class Network:
     _components: dict[str, Component]
 
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
-        if not _is_number(base_mva) or not 0 < base_mva < INF:
-            raise NetworkError(f"network {name!r}: base_mva = {base_mva!r}: must be a positive number")
+        least, most = BASE_MVA
+        if not _is_number(base_mva) or not least <= base_mva <= most:
+            raise NetworkError(
+                f"network {name!r}: base_mva = {base_mva!r}: must be a number from {least:g} to {most:g} MVA"
+            )
+        if fault := name_fault(str(name)):
+            raise NetworkError(f"network {name!r}: the name {fault}")
         object.__setattr__(self, "name", str(name))
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
@@ -634,7 +679,7 @@ class Network:
         Raises
         ------
         NetworkError
-            The name is taken.
+            The name is taken, or has characters that cannot be seen.
         ComponentError
             A field of the component breaks its rule.
         """
@@ -648,6 +693,8 @@ class Network:
                 f"network {self.name!r}: the name {name!r} is taken by a {self._components[name].kind}; "
                 "names must be unique"
             )
+        if fault := name_fault(name):
+            raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
         component.check(name)
         self._components[name] = component
         return component

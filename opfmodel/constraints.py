@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import name_pattern
+from opfmodel.data.columns import read_columns
 from opfmodel.errors import ConstraintError, ProfileError, nearest
 from opfmodel.model import Stage
 from opfmodel.network import Index
-from opfmodel.profiles.columns import read_columns
+from opfmodel.text import shown
+from opfmodel.units import bounded
 from solvers import Sum, total
 
 __all__ = ["Limited", "Linear"]
@@ -47,8 +49,8 @@ class Linear:
         if not terms:
             raise ConstraintError("needs at least one term, for instance generator.pg: 1", "terms")
         for key, factor in terms.items():
-            if isinstance(factor, bool) or not isinstance(factor, int | float) or not np.isfinite(factor):
-                raise ConstraintError(f"{factor!r}: the factor must be a finite number", "terms", key)
+            if isinstance(factor, bool) or not isinstance(factor, int | float) or not bounded(factor):
+                raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
             owner, dot, quantity = str(key).rpartition(".")
             if not (owner and dot and quantity):
                 raise ConstraintError(
@@ -149,13 +151,13 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
             raise ConstraintError("must be a number, a list, or {file: , column: }", key)
         path, heading = folder / str(value["file"]), str(value["column"])
         try:
-            return [float(number) for number in read_columns(path, steps, [heading])[heading]]
+            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
     numbers = []
     for number in value if isinstance(value, list) else [value]:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
-            raise ConstraintError(f"{number!r}: must be a finite number, or a list of one per step", key)
+        if isinstance(number, bool) or not isinstance(number, int | float) or not bounded(number):
+            raise ConstraintError(f"{shown(number)}: must be a finite number, or a list of one per step", key)
         numbers.append(float(number))
     if not isinstance(value, list):
         return numbers[0]

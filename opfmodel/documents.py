@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.scalarbool import ScalarBoolean
 
+from opfmodel.data.files import read_text
+from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import ScenarioError, nearest
+from opfmodel.text import name_fault, visible
 
 __all__ = ["Document", "check_name", "read_document", "validated"]
 
@@ -19,8 +20,6 @@ Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _MOST_BYTES = 20_000_000
-_MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
-_TAGS = ("map", "seq", "str", "int", "float", "bool", "null", "merge")
 
 
 @dataclass(frozen=True)
@@ -31,27 +30,32 @@ class Document:
     ----------
     content
         Dictionaries, lists, strings, numbers, booleans and None.
-    positions
-        Line and column, from 1, by path of keys.
     """
 
     path: Path
     content: Any
-    positions: Mapping[Key, tuple[int, int]]
+    place: Place
 
     def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
         """An error that names file, line, column and key; of a missing key the parent's position."""
-        known = tuple(key)
-        while known and known not in self.positions:
-            known = known[:-1]
-        line, column = self.positions.get(known, (1, 1))
-        name = ".".join(str(part) for part in key)
-        return ScenarioError(f"{self.path}:{line}:{column}: {name + ': ' if name else ''}{message}")
+        place = self.place.at(key)
+        name = visible(".".join(str(part) for part in key))
+        return ScenarioError(
+            f"{self.path}:{place.line}:{place.column}: {name + ': ' if name else ''}{message}"
+        )
 
     def over(self, key: Key) -> Document:
         """The document with the positions of the mapping at ``key`` for the same keys at the root."""
-        laid = {where[len(key) :]: at for where, at in self.positions.items() if where[: len(key)] == key}
-        return replace(self, positions={**self.positions, **{k: at for k, at in laid.items() if k}})
+        laid = self.place.at(key)._replace(line=self.place.line, column=self.place.column)
+        return replace(self, place=_laid(self.place, laid))
+
+
+def _laid(base: Place, over: Place) -> Place:
+    """The places of two mappings, the latter's first."""
+    if not (isinstance(base.inside, dict) and isinstance(over.inside, dict)):
+        return over
+    both = {key: _laid(base.inside[key], at) if key in base.inside else at for key, at in over.inside.items()}
+    return over._replace(inside={**base.inside, **both})
 
 
 def check_name(document: Document, key: Key, name: str) -> None:
@@ -60,6 +64,8 @@ def check_name(document: Document, key: Key, name: str) -> None:
         raise document.error(
             key, f"{name!r}: is the name of a folder of results: it cannot be empty, dots, or hold / or \\"
         )
+    if fault := name_fault(name):
+        raise document.error(key, f"{name!r}: {fault}")
 
 
 def read_document(path: str | Path) -> Document:
@@ -68,41 +74,10 @@ def read_document(path: str | Path) -> Document:
     Raises
     ------
     ScenarioError
-        The file is missing or is not YAML; the message names line and column.
+        The file cannot be opened, or is not YAML; the message names line and column.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
     path = Path(path)
-    try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ScenarioError(
-                f"{path}: larger than {_MOST_BYTES // 1_000_000} MB; put series into data files"
-            )
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: cannot be read: {error}") from error
-    yaml = YAML(typ="rt", pure=True)
-    try:
-        tree = yaml.load(text)
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f"{mark.line + 1}:{mark.column + 1}: " if mark is not None else " "
-        raise ScenarioError(f"{path}:{where}not YAML: {error.problem or error.context}") from None
-    except (YAMLError, ValueError) as error:
-        raise ScenarioError(f"{path}: not YAML: {error}") from None
-    except RecursionError:
-        raise ScenarioError(f"{path}: nested too deeply") from None
-    positions: dict[Key, tuple[int, int]] = {}
-    reader = _Plain(path, positions)
-    try:
-        return Document(path, reader.convert(tree, ()), positions)
-    except RecursionError:
-        raise ScenarioError(
-            f"{path}: nested too deeply; does an alias stand inside its own anchor?"
-        ) from None
+    return Document(path, *parse(read_text(path, ScenarioError, _MOST_BYTES), str(path)))
 
 
 def validated(document: Document, content: Any, model: type[Model]) -> Model:
@@ -164,47 +139,3 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for part in get_args(annotation):
         yield from _models(part)
-
-
-class _Plain:
-    """Turns ruamel's objects into plain ones and notes where they stand."""
-
-    def __init__(self, path: Path, positions: dict[Key, tuple[int, int]]) -> None:
-        self.path = path
-        self.positions = positions
-        self.count = 0
-
-    def convert(self, node: Any, key: Key) -> Any:
-        """The plain value of a node at a path of keys."""
-        self.count += 1
-        if self.count > _MOST_VALUES:
-            raise ScenarioError(f"{self.path}: expands to more than {_MOST_VALUES} values; too many aliases?")
-        tag = getattr(getattr(node, "tag", None), "value", None)
-        if tag is not None and str(tag).removeprefix("tag:yaml.org,2002:") not in _TAGS:
-            line, column = self.positions.get(key, (1, 1))
-            raise ScenarioError(
-                f"{self.path}:{line}:{column}: the tag {tag} is not accepted; plain data only"
-            )
-        if isinstance(node, CommentedMap):
-            return {str(k): self._child(node, k, (*key, str(k)), node.lc.key) for k in node}
-        if isinstance(node, CommentedSeq):
-            return [self._child(node, i, (*key, i), node.lc.item) for i in range(len(node))]
-        return _scalar(node)
-
-    def _child(self, node: Any, index: Any, key: Key, position: Any) -> Any:
-        try:
-            line, column = position(index)
-            self.positions[key] = (line + 1, column + 1)
-        except KeyError:
-            pass  # came in by a merge key and stands elsewhere; the parent's position will do
-        return self.convert(node[index], key)
-
-
-def _scalar(node: Any) -> Any:
-    """A plain Python value instead of ruamel's subclass of it."""
-    if isinstance(node, ScalarBoolean):  # an int: what a truth value with an anchor is read as
-        return bool(node)
-    for kind in (bool, int, float, str):
-        if isinstance(node, kind):
-            return kind(node)
-    return node

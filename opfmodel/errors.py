@@ -19,6 +19,7 @@ __all__ = [
     "QuantityError",
     "ResultError",
     "ScenarioError",
+    "SizeError",
     "StudyError",
     "nearest",
 ]
@@ -116,11 +117,14 @@ class PluginError(OpfmodelError):
     ----------
     option
         The option at fault, if it is one.
+    key
+        Keys that lead to the mistake: the option, and those inside its value.
     """
 
-    def __init__(self, message: str, option: str | None = None) -> None:
+    def __init__(self, message: str, *key: str | int) -> None:
         super().__init__(message)
-        self.option = option
+        self.key = key
+        self.option = key[0] if key else None
 
 
 class ResultError(OpfmodelError):
@@ -129,6 +133,10 @@ class ResultError(OpfmodelError):
 
 class ScenarioError(OpfmodelError):
     """A scenario or study file breaks its schema; the message names file, line and column."""
+
+
+class SizeError(OpfmodelError):
+    """What is asked for needs more memory than the machine has; nothing of it was allocated."""
 
 
 class StudyError(OpfmodelError):

@@ -135,6 +135,11 @@ class PerUnitNetwork:
         return self.tables["shunt"]
 
     @property
+    def n_components(self) -> int:
+        """Number of components of all kinds."""
+        return sum(map(len, self.tables.values()))
+
+    @property
     def rebased(self) -> float:
         """One unit of power inside in per unit on the declared base, for weights that are declared on it."""
         return self.base_mva / self.declared_mva

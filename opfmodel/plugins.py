@@ -11,6 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_type_hints
 
 from opfmodel.errors import PluginError, nearest
+from opfmodel.text import shown
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
@@ -134,7 +135,7 @@ def make(
     Parameters
     ----------
     options
-        Keyword arguments of the constructor, checked against its annotations.
+        Keyword arguments of the constructor, checked against its annotations; numbers are finite.
     convert
         How values of a file become objects of a type, for options annotated with it.
     beside
@@ -163,12 +164,27 @@ def make(
         hint = hints.get(key, Any)
         converter = (convert or {}).get(hint)
         try:
-            adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+            adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
             checked[key] = adapter.validate_python(value if converter is None else converter(value))
         except ValidationError as error:
-            reason = error.errors()[0]["msg"].removeprefix("Value error, ")
-            raise PluginError(f"{sort} {name!r}: {key} = {value!r}: {reason}", key) from None
+            fault = error.errors()[0]
+            path, at = _path(value, fault["loc"])
+            reason = fault["msg"].removeprefix("Value error, ")
+            named = ".".join(str(part) for part in (key, *path))
+            raise PluginError(f"{sort} {name!r}: {named} = {shown(at)}: {reason}", key, *path) from None
     missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
     if missing:
         raise PluginError(f"{sort} {name!r} needs the option {missing[0]!r}")
     return cls(**checked)
+
+
+def _path(value: Any, location: tuple[str | int, ...]) -> tuple[list[str | int], Any]:
+    """Keys inside an option that lead to a mistake, and the value there; branches of unions are no keys."""
+    path: list[str | int] = []
+    at: Any = value
+    for part in location:
+        inside = part in at if isinstance(at, Mapping) else isinstance(at, list) and isinstance(part, int)
+        if inside:
+            at = at[part]
+            path.append(part)
+    return path, at

@@ -18,8 +18,9 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
-from opfmodel.components import BUILT_IN, Bus, Component, Network, Polynomial, name_pattern
+from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
+from opfmodel.data.columns import read_columns
 from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
     CaseError,
@@ -36,6 +37,7 @@ from opfmodel.errors import (
 )
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
+from opfmodel.memory import check_memory, run_bytes, series_bytes
 from opfmodel.model import Elastic
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
@@ -43,9 +45,10 @@ from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage, PhysicalStage
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
 from opfmodel.profiles.base import Workbook, constant
-from opfmodel.profiles.columns import read_columns
 from opfmodel.profiles.series import Profiles
 from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
+from opfmodel.text import name_fault, shown
+from opfmodel.units import LARGEST, STEP_HOURS, bounded
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "laid_over", "load_scenario"]
@@ -54,11 +57,11 @@ Spec = str | dict[str, Any] | list[str | dict[str, Any]]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class _Time(_Section):
-    step: float = Field(1.0, gt=0, description="hours")
+    step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
     steps: int = Field(1, ge=1)
 
 
@@ -249,12 +252,14 @@ class Scenario:
 
 
 def load_scenario(
-    path: str | Path, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+    path: str | Path | Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
 ) -> Scenario:
     """Read a scenario file.
 
     Parameters
     ----------
+    path
+        The file, or its content where it has been read already.
     variant
         One of the file's variants, whose keys are laid over the others.
     overrides
@@ -266,10 +271,11 @@ def load_scenario(
         The file breaks its schema: an unknown key, a wrong type, a value out of range; the
         message names file, line, column and what would be accepted.
     """
-    document = read_document(path)
+    document = path if isinstance(path, Document) else read_document(path)
     content = laid_over(document, variant, overrides)
     if variant is not None:
         document = document.over(("variants", variant))
+    _check_numbers(document, content)
     settings = validated(document, content, _File)
     if settings.name is not None:
         check_name(document, ("name",), settings.name)
@@ -342,6 +348,21 @@ def laid_over(
 # Reading the parts ------------------------------------------------------------------------------
 
 
+def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
+    """Raise an error for a number that is none, or that would overflow when it is squared.
+
+    Infinity is accepted here, for it means "no limit" in some places; options of solvers are theirs.
+    """
+    for part, value in content.items() if isinstance(content, dict) else enumerate(content):
+        if isinstance(value, dict | list):
+            if (*key, part) != ("controller", "solver"):
+                _check_numbers(document, value, (*key, part))
+        elif isinstance(value, int | float) and not bounded(value) and abs(value) != np.inf:
+            raise document.error(
+                (*key, part), f"{shown(value)}: must be a finite number of at most {LARGEST:g}"
+            )
+
+
 def _overlay(base: Any, over: Any) -> Any:
     """``over`` laid over ``base``: mappings key by key, anything else replaced."""
     if isinstance(base, dict) and isinstance(over, dict):
@@ -361,7 +382,7 @@ def _located(document: Document, key: tuple[str | int, ...]) -> Iterator[None]:
     except ScenarioError:
         raise
     except PluginError as error:
-        raise document.error((*key, error.option) if error.option else key, str(error)) from error
+        raise document.error((*key, *error.key), str(error)) from error
     except (OpfmodelError, SolverError) as error:
         raise document.error(key, str(error)) from error
 
@@ -411,7 +432,13 @@ class _Declarations:
     def _start(self, name: str) -> Network:
         file, base_mva = self.section.get("file"), self.section.get("base_mva")
         if file is None:
-            return Network(self.section.get("name", name), 100.0 if base_mva is None else base_mva)
+            named = self.section.get("name", name)
+            if not isinstance(named, str) or name_fault(named):
+                raise self.document.error(
+                    ("network", "name"), f"{shown(named)}: must be text of visible characters"
+                )
+            with _located(self.document, ("network", "base_mva")):
+                return Network(named, 100.0 if base_mva is None else base_mva)
         if not isinstance(file, str):
             raise self.document.error(("network", "file"), "must be a path, relative to this file")
         if base_mva is not None:
@@ -519,19 +546,39 @@ def component_kinds() -> tuple[list[type[Component]], list[str]]:
 
 def _profiles(document: Document, settings: _File, network: Network) -> Profiles:
     steps = settings.time.steps + settings.controller.horizon - 1
+    _check_size(document, settings, network)
     book = Workbook(network, steps, settings.time.step, document.path.parent)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
         name, options = _single(document, key, spec)
-        with _located(document, (*key, name)):
+        before = dict(book.series)
+        with _located(document, (*key, name)), _sourced(book):
             plugins.make("profile", name, options).apply(book)
-    with _located(document, ("profiles",)):
+            changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
+            Profiles.of(changed).check_finite(network)
+    with _located(document, ("profiles",)), _sourced(book):
         made = Profiles.of(book.series)
-        try:
-            made.check(network, per_unit(network))
-        except ProfileError as error:
-            raise ProfileError(f"{book.source(error)}{error}") from error
+        made.check(network, per_unit(network))
         return made
+
+
+def _check_size(document: Document, settings: _File, network: Network) -> None:
+    """Raise an error before series are made, or a run is begun, for which there is no memory."""
+    steps, horizon = settings.time.steps, settings.controller.horizon
+    loads = len(network.of(Load))
+    with _located(document, ("time", "steps")):
+        check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
+    with _located(document, ("controller", "horizon")):
+        check_memory(f"{horizon:,} with {steps:,} steps", series_bytes(loads, steps + horizon))
+
+
+@contextmanager
+def _sourced(book: Workbook) -> Iterator[None]:
+    """Give errors about a value from a file the line and column where it stands."""
+    try:
+        yield
+    except ProfileError as error:
+        raise ProfileError(f"{book.source(error)}{error}") from error
 
 
 def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
@@ -585,8 +632,8 @@ def _objective(
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or weight < 0:
-            raise document.error((*key, number, "weight"), f"{weight!r}: must be a number, at least 0")
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight < np.inf:
+            raise document.error((*key, number, "weight"), f"{shown(weight)}: must be a number, at least 0")
         parts.append((float(weight), _objective(document, (*key, number), rest, convert)))
     if not parts:
         raise document.error(key, "needs at least one objective")
@@ -625,7 +672,7 @@ def _setpoints(value: Any, scenario: Scenario) -> Setpoints:
             f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
         )
     if set(value) == {"file"}:
-        value = read_columns(scenario.path.parent / str(value["file"]), scenario.steps)
+        value = read_columns(scenario.path.parent / str(value["file"]), scenario.steps).values
     given = Setpoints(value)
     given.arrays(per_unit(scenario.network))  # so that a mistake has its place in the file
     return given

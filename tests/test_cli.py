@@ -15,6 +15,7 @@ from conftest import DATA, SCENARIOS
 
 from opfmodel import cli
 from opfmodel.results import load
+from opfmodel.study.comparison import Comparison
 
 CASE14 = DATA / "pglib" / "pglib_opf_case14_ieee.m"
 CASE5 = SCENARIOS / "case5-step.yaml"
@@ -178,7 +179,7 @@ def test_list(call: Call) -> None:
         (("solve", CASE14, "--variant", "x"), "are for scenario files"),
         (("run", CASE5, "--set", "controller"), "write KEY=VALUE"),
         (("run", CASE5, "--set", "controller.x=1"), "controller.x: unknown key"),
-        (("run", CASE5, "--set", "time.steps=[1"), "the value is not YAML"),
+        (("run", CASE5, "--set", "time.steps=[1"), "--set time.steps:1:1: not YAML"),
         (
             ("run", CASE5, "--set", "controller.solver.options={no_such: 1}"),
             "ipopt refused its options {'no_such': 1}",
@@ -196,6 +197,56 @@ def test_bad_input_is_one_line_and_status_2(call: Call, arguments: tuple, messag
     assert message in err
     assert err.startswith("error: ")
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("solve", "\x1b[31m.m"),
+        ("solve", "\x1b[31m.yaml", "--json"),
+        ("solve", CASE14, "--formulation", "\x9b31m"),
+        ("solve", CASE14, "--solver", "a\x7fb", "--json"),
+        ("run", CASE5, "--set", "cost=\x1b[31m"),
+        ("run", CASE5, "--set", 'cost="\\e[31m\\u2028"'),
+        ("run", CASE5, "--set", "\x1b=1"),
+        ("run", CASE5, "--set", 'name="\udc9b"'),
+        ("validate", CASE5, "--variant", "\u202e"),
+        ("plot", "\x1b]0;title\x07"),
+        ("frobnicate\x1b",),
+        ("solve", CASE14, "--\x1b"),
+    ],
+)
+def test_no_escape_reaches_the_terminal(call: Call, arguments: tuple) -> None:
+    code, out, err = call(*arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    for text in (out, err):
+        assert text.replace("\n", "").isprintable()
+    assert not out or "error" in json.loads(out)
+
+
+def test_names_in_tables_are_text_not_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    costs = dict.fromkeys(("J_e", "J_s", "J_t", "J_b"))
+    cli._print_comparisons([Comparison("[/red]a\x1b[1m", costs, {}, {})])
+    assert "[/red]a\\x1b[1m" in capsys.readouterr().out
+
+
+def test_all_printing_passes_one_function() -> None:
+    printing = [line for line in Path(cli.__file__).read_text().splitlines() if " print(" in line]
+    assert printing
+    assert all("print(visible(" in line for line in printing)
+
+
+def test_an_encoding_without_a_letter_is_no_failure(tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(f"name: Łódź\n{WEAK}", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", "from opfmodel import cli; cli.main()", "validate", path],
+        capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": "latin-1"},
+        check=False,
+    )
+    assert (done.returncode, b"\\u0141" in done.stdout) == (0, True)
 
 
 def test_solver_options_that_are_refused_are_bad_input(call: Call) -> None:

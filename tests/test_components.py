@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.components import Component
-from opfmodel.errors import ComponentError, NetworkError
+from opfmodel.errors import ComponentError, ModelError, NetworkError
 
 
 def test_a_component_is_read_back_by_name(grid: om.Network) -> None:
@@ -55,6 +55,26 @@ def test_a_misspelt_field_is_said_with_the_nearest() -> None:
         om.Generator("a", p=(0, 1), rmap=3)  # type: ignore[call-arg]
 
 
+@pytest.mark.parametrize(
+    "character", ["\x1b", "\n", "\x00", "\x7f", "\x9b", "\u200b", "\u2028", "\u2029", "\ud800"]
+)
+def test_names_have_visible_characters_only(character: str, grid: om.Network) -> None:
+    name = f"a{character}b"
+    with pytest.raises(NetworkError, match="visible") as caught:
+        grid.add(name, om.Bus())
+    assert str(caught.value).isprintable()
+    assert name not in grid
+    with pytest.raises(NetworkError, match="visible"):
+        om.Network(name)
+    with pytest.raises(ModelError, match="visible"):
+        om.MultiStage(grid).constrain(name, lambda stage: om.total(stage.generator.pg) >= 0)
+
+
+def test_names_may_have_any_letter(grid: om.Network) -> None:
+    for name in ("Łódź 110 kV", "北京", "a\u00a0b", "№ 5/2", "😀"):
+        assert grid.add(name, om.Bus()) is grid[name]
+
+
 def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
     with pytest.raises(NetworkError, match="the name 'coal' is taken by a generator"):
         grid.coal = om.Bus()
@@ -82,7 +102,7 @@ def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
         (om.Branch("a", "b", r=math.nan, x=1), "r", "must be a finite number"),
         (om.Branch("a", "b", r="0.1", x=1), "r", "must be a number in p.u."),
         (om.Branch("a", "b", r=0, x=1, rating=-1), "rating", "must be at least 0"),
-        (om.Branch("a", "b", r=0, x=1, tap=0), "tap", "must be greater than 0"),
+        (om.Branch("a", "b", r=0, x=1, tap=0), "tap", "must be at least 0.001"),
         (om.Branch(1, "b", r=0, x=1), "from_bus", "must be the name of a bus"),
         (om.Generator("a", p=(0, math.nan)), "p", "both ends must be numbers"),
         (om.Generator("a", p=(math.inf, math.inf)), "p", "the minimum must be below infinity"),
@@ -115,7 +135,7 @@ def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
         (
             om.Storage("a", energy=1, power=1, charge_efficiency=0),
             "charge_efficiency",
-            "must be greater than 0",
+            "must be at least 0.001",
         ),
         (
             om.Storage("a", energy=1, power=1, discharge_efficiency=1.1),
@@ -125,6 +145,30 @@ def test_names_are_unique_and_not_words_of_the_class(grid: om.Network) -> None:
         (om.Load("a", p=math.nan), "p", "must be a finite number"),
         (om.Load("a", p=True), "p", "must be a number in MW"),
         (om.Shunt("a", b=math.inf), "b", "must be a finite number"),
+        (om.Load("a", p=1e31), "p", "must be a finite number of at most 1e.30"),
+        (om.Load("a", p=-(10**400)), "p", "must be a finite number of at most 1e.30"),
+        (om.Branch("a", "b", r=1e-200, x=0), "r, x", "the impedance must not be zero, but at least 1e-12"),
+        (om.Branch("a", "b", r=0, x=1, rating=10**400), "rating", "must be a finite number of at most 1e.30"),
+        (om.Branch("a", "b", r=0, x=1, tap=1e300), "tap", "must be at most 1000|must be a finite number"),
+        (om.Generator("a", p=(0, 10**400)), "p", "both ends must be numbers in MW of at most 1e.30"),
+        (om.Generator("a", p=(-1e200, 0)), "p", "both ends must be numbers in MW of at most 1e.30"),
+        (om.Storage("a", energy=1, power=10**400), "power", "must be a finite number of at most 1e.30"),
+        (om.Storage("a", energy=1, power=math.nan), "power", "must be a finite number of at most 1e.30"),
+        (
+            om.Generator("a", p=(0, 1), cost=om.Polynomial(1e200)),
+            "cost",
+            "must be finite numbers of at most 1e.30",
+        ),
+        (
+            om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0), (1, 10**400)])),
+            "cost",
+            "must be finite numbers",
+        ),
+        (
+            om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0), (1e-320, 1)])),
+            "cost",
+            "the slopes must be at most",
+        ),
     ],
 )
 def test_a_broken_rule_names_component_field_value_and_rule(
@@ -152,9 +196,10 @@ def test_plain_values_are_checked_too(values: dict, message: str) -> None:
         om.Generator.from_mapping("it", values)
 
 
-def test_a_network_needs_a_positive_base() -> None:
-    with pytest.raises(NetworkError, match="base_mva = 0: must be a positive number"):
-        om.Network("x", base_mva=0)
+@pytest.mark.parametrize("base", [-1, 0, 1e-7, 1e10, 1e308, math.inf, math.nan, 10**400, "100", True])
+def test_a_network_needs_a_base_of_sensible_size(base: float) -> None:
+    with pytest.raises(NetworkError, match=r"base_mva = .*: must be a number from 1e-06 to"):
+        om.Network("x", base_mva=base)
 
 
 numbers = st.one_of(st.none(), st.booleans(), st.floats(), st.integers(-5, 5), st.text(max_size=3))

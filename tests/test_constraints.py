@@ -243,7 +243,7 @@ def test_a_limit_from_a_file(tmp_path: Path) -> None:
     assert scenario(tmp_path, text).constraints["export"].at_most == [80, 70, 60, 50]
     for old, new, message in (
         ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
-        ("limits.csv", "none.csv", "none.csv: cannot be read"),
+        ("limits.csv", "none.csv", "none.csv: there is no such file"),
         ("file:", "fiel:", "at_most: must be a number, a list, or {file: , column: }"),
     ):
         with pytest.raises(ScenarioError, match=message):
@@ -268,7 +268,7 @@ def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
         ("tie.pf", '"t*.vm"', "formulation 'dc' does not publish .*vm; formulations that do: ac, ac-rectangular$"),
         ("tie.pf", "bus.vm", ":14:20: .*formulation 'dc' does not publish bus.vm; formulations that do: ac, ac-"),
         ("tie.pf: 1", "tie.pf: x", ":14:20: constraints.export.terms.tie.pf: 'x': the factor must be a finite number"),
-        ("tie.pf: 1", "tie.pf: .nan", "the factor must be a finite number"),
+        ("tie.pf: 1", "tie.pf: .nan", "must be a finite number"),
         ("tie.pf: 1", "coal.p_max: 1", ":14:12: constraints.export.terms: no term is a quantity that is decided"),
         ("tie.pf: 1", "coal.ramp: 1", "coal.ramp has no limit; give it one"),
         ("tie.pf: 1", "generator.bus: 1", "generator.bus is not a quantity"),

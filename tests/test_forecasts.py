@@ -111,13 +111,14 @@ def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "needs a line of headings"),
-        ("hour\n1\n", "needs a line of headings"),
+        ("", "the file is empty"),
+        ("hour\n1\n", "no column is headed 'component.field'"),
+        ("hour,town.p\n", "has no row"),
         ("hour,town.p\n0,1\n1,many\n", "line 3, column 'town.p': 'many' is not a number"),
         ("hour,town.p\n0\n", "line 2, column 'town.p': nothing is not a number"),
         ("town.p\n# a comment\n1\nmany\n", "line 4, column 'town.p': 'many' is not a number"),
-        ("town.p\n1\ninf\n", "line 3, column 'town.p': must be finite"),
-        (f"town.p\n{200_000 * '1'}\n", "cannot be read: field larger than"),
+        ("town.p\n1\ninf\n", "line 3, column 'town.p': 'inf' is not a finite number"),
+        (f"town.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
         ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
         ("issued,town.p\n3,1\n", "nothing was issued by step 1; first is 3"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
@@ -130,7 +131,7 @@ def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ProfileError, match=r"none\.csv: cannot be read"):
+    with pytest.raises(ProfileError, match=r"none\.csv: there is no such file"):
         File(tmp_path / "none.csv")
 
 
@@ -249,7 +250,7 @@ def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
             r":8:20: forecast.noisy.deviaton: .*did you mean 'deviation'",
         ),
         ("forecast: {noisy: {deviation: -1, seed: 1}}", r":8:12: forecast.noisy: noisy: deviation = -1"),
-        ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: cannot be read"),
+        ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: there is no such file"),
     ],
 )
 def test_mistakes_in_a_scenario(tmp_path: Path, text: str, message: str) -> None:

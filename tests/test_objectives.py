@@ -156,7 +156,7 @@ def test_set_points_move_with_the_horizon() -> None:
         ({"coal.pq": 1}, "'coal.pq': no such quantity; known are: e, pg, ps, qg, qs"),
         ({"cole.pg": 1}, "'cole.pg': no such generator in service; did you mean 'coal'"),
         ({"coal.pg": [1, 2], "cell.e": [1, 2, 3]}, "'cell.e' has 3 values, but 'coal.pg' has 2"),
-        ({"coal.pg": [1, np.nan]}, "'coal.pg': step 1 is not a number"),
+        ({"coal.pg": [1, np.nan]}, "'coal.pg': step 1: nan: must be a finite number"),
         ({"coal.pg": "much"}, "'coal.pg': 'much': must be a number"),
         ({"coal.pg": [80] * 3}, "pg_setpoint has 3 values; steps 0 to 4 need 5"),
     ],

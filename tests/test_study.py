@@ -133,7 +133,7 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("[1, 2, 3]", "4", r"study.yaml:3:3: .*must be a list of values, or a mapping from names"),
         ("measured: {}", "measured: 5", r"study.yaml:5:5: vary.demand.measured: must be a mapping"),
         ("measured: {}", "measured: {controller.horizon: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
-        ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: cannot be read"),
+        ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: there is no such file"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
     ],

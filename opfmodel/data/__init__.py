@@ -1,1 +1,1 @@
-"""Data from outside: the files they are read from."""
+"""Data from outside: the files they are read from, and their formats."""

@@ -45,7 +45,7 @@ def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BY
 def read_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> str:
     """Content of a text file, with line ends as Python has them; errors as for :func:`open_text`."""
     with open_text(path, raises, most_bytes) as stream:
-        return stream.read().replace("\r\n", "\n")
+        return stream.read(most_bytes).replace("\r\n", "\n")
 
 
 def read_bytes(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> bytes:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from opfmodel.data.columns import read_columns
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import Array, Forecast, part
-from opfmodel.profiles.columns import numbers, read_rows
 from opfmodel.profiles.series import Profiles
 
 __all__ = ["File"]
@@ -73,31 +72,20 @@ class File(Forecast):
 
 def _read(path: Path) -> dict[int, dict[tuple[str, str], Array]]:
     """Series by component and field, by the step at which they were issued."""
-    headings, rows = read_rows(path)
-    series = [n for n, heading in enumerate(headings) if "." in heading]
-    if not series or not rows:
-        raise ProfileError(f"{path}: needs a line of headings 'component.field' and a row per step")
-    columns = {n: _finite(path, headings[n], n, rows) for n in series}
-    steps = np.zeros(len(rows))
-    if _ISSUED in headings:
-        steps = _finite(path, _ISSUED, headings.index(_ISSUED), rows)
-        parts = np.flatnonzero(steps != np.floor(steps))
-        if parts.size:
-            raise ProfileError(
-                f"{path}: line {rows[parts[0]][0]}, column '{_ISSUED}': {steps[parts[0]]:g} is not a step"
-            )
-    named = {n: headings[n].rpartition(".") for n in series}
-    return {
-        int(step): {
-            (component, field): columns[n][steps == step] for n, (component, _, field) in named.items()
-        }
-        for step in np.unique(steps)
+    columns = read_columns(path, optional=(_ISSUED,))
+    series = dict(columns.values)
+    if not columns.lines:
+        raise ProfileError(f"{path}: has no row of numbers; a forecast has one per step")
+    steps = series.pop(_ISSUED, np.zeros(len(columns.lines)))
+    parts = np.flatnonzero(steps != np.floor(steps))
+    if parts.size:
+        raise ProfileError(f"{columns.place(_ISSUED, parts[0])}{steps[parts[0]]:g} is not a step")
+    order = np.argsort(steps, kind="stable")
+    issues, begins = np.unique(steps[order], return_index=True)
+    split = {
+        (component, field): np.split(values[order], begins[1:])
+        for (component, _, field), values in ((heading.rpartition("."), v) for heading, v in series.items())
     }
-
-
-def _finite(path: Path, heading: str, column: int, rows: Sequence[tuple[int, list[str]]]) -> Array:
-    values = numbers(path, heading, column, rows)
-    endless = np.flatnonzero(~np.isfinite(values))
-    if endless.size:
-        raise ProfileError(f"{path}: line {rows[endless[0]][0]}, column {heading!r}: must be finite")
-    return values
+    return {
+        int(step): {key: parts[number] for key, parts in split.items()} for number, step in enumerate(issues)
+    }

@@ -69,6 +69,8 @@ class Noisy(Forecast):
         """Relative errors, at step ``time``, of what is expected of a component for the steps from it on."""
         entropy = [self.seed, time, zlib.crc32(component.encode())]
         drawn = np.random.default_rng(entropy).standard_normal(stages)
-        lag = np.subtract.outer(np.arange(stages), np.arange(stages))
-        weights = np.where(lag >= 0, self.correlation ** np.maximum(lag, 0), 0.0)
-        return np.asarray(self.deviation * (weights @ drawn))
+        error, errors = 0.0, np.empty(stages)
+        for ahead, shock in enumerate(drawn):
+            error = self.correlation * error + self.deviation * shock
+            errors[ahead] = error
+        return errors

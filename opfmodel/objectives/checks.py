@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 from opfmodel.errors import ModelError
+from opfmodel.units import LARGEST, bounded
 
 __all__ = ["finite", "not_negative"]
 
 
 def finite(owner: str, option: str, value: float) -> float:
-    """The value, or a :class:`ModelError` if it is not a finite number."""
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise ModelError(f"{owner}: {option} = {value!r}: must be a number")
+    """The value, or a :class:`ModelError` if it is not a finite number of at most 1e30."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not bounded(value):
+        raise ModelError(f"{owner}: {option} = {value!r}: must be a number of at most {LARGEST:g}")
     return float(value)
 
 

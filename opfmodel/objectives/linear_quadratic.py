@@ -11,6 +11,8 @@ import numpy.typing as npt
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Stage
 from opfmodel.objectives.base import Objective
+from opfmodel.text import shown
+from opfmodel.units import LARGEST
 from solvers import total
 
 __all__ = ["LinearQuadratic"]
@@ -131,10 +133,10 @@ def _upper(matrix: Array) -> Array:
 def _shaped(what: str, weight: Any, shape: tuple[int, ...]) -> Array:
     try:
         array = np.asarray(weight, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"linear-quadratic cost: {what}: must be numbers, not {weight!r}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(f"linear-quadratic cost: {what}: must be numbers, not {shown(weight)}") from None
     if array.ndim and array.shape != shape:
         raise ModelError(f"linear-quadratic cost: {what} has shape {array.shape}; {shape} is needed")
-    if not np.isfinite(array).all():
-        raise ModelError(f"linear-quadratic cost: {what} is not finite")
+    if not (np.abs(array) <= LARGEST).all():
+        raise ModelError(f"linear-quadratic cost: {what} is not finite, or has more than {LARGEST:g}")
     return np.array(np.broadcast_to(array, shape))

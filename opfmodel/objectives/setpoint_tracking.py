@@ -13,6 +13,8 @@ from opfmodel.model import Stage
 from opfmodel.network import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
+from opfmodel.text import shown
+from opfmodel.units import LARGEST
 from solvers import total
 
 __all__ = ["SetpointTracking", "Setpoints"]
@@ -146,10 +148,16 @@ class SetpointTracking(Objective):
 def _numbers(key: str, value: npt.ArrayLike) -> Array:
     try:
         array = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
-        raise ModelError(f"set-point {key!r}: {value!r}: must be a number, or one number per step") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(
+            f"set-point {key!r}: {shown(value)}: must be a number, or one number per step"
+        ) from None
     if array.ndim != 1 or not array.size:
         raise ModelError(f"set-point {key!r}: one number per step is expected, not shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise ModelError(f"set-point {key!r}: step {int(np.argmin(np.isfinite(array)))} is not a number")
+    sound = np.abs(array) <= LARGEST
+    if not sound.all():
+        step = int(np.argmin(sound))
+        raise ModelError(
+            f"set-point {key!r}: step {step}: {array[step]:g}: must be a finite number of at most {LARGEST:g}"
+        )
     return array

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from opfmodel.errors import ModelError
+from opfmodel.units import bounded
 
 __all__ = ["End"]
 
@@ -32,5 +31,5 @@ class End:
     def __post_init__(self) -> None:
         if not isinstance(self.minimum, int | float) or not 0.0 <= self.minimum <= 1.0:
             raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
-        if not isinstance(self.price, int | float) or not np.isfinite(self.price):
-            raise ModelError(f"end of horizon: price = {self.price!r}: must be a number in $/MWh")
+        if not isinstance(self.price, int | float) or not bounded(self.price):
+            raise ModelError(f"end of horizon: price = {self.price!r}: must be a finite number in $/MWh")

@@ -15,6 +15,7 @@ from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
+from opfmodel.memory import check_memory, problem_bytes
 from opfmodel.model import Device, Elastic, Model, Price, Published, Soft, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
@@ -27,17 +28,9 @@ from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
 from opfmodel.profiles.series import Profiles
-from opfmodel.units import scale
-from solvers import (
-    Constraint,
-    Expression,
-    Program,
-    Session,
-    SolverError,
-    Start,
-    Sum,
-    prepare,
-)
+from opfmodel.text import name_fault
+from opfmodel.units import STEP_HOURS, scale
+from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
 
@@ -112,8 +105,10 @@ class MultiStage:
     ) -> None:
         if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 1:
             raise ModelError(f"horizon = {horizon!r}: must be a whole number of stages, at least 1")
-        if isinstance(step, bool) or not isinstance(step, int | float | np.number) or not 0 < step < np.inf:
-            raise ModelError(f"step = {step!r}: must be a positive number of hours")
+        shortest, longest = STEP_HOURS
+        numeric = isinstance(step, int | float | np.number) and not isinstance(step, bool)
+        if not (numeric and shortest <= step <= longest):
+            raise ModelError(f"step = {step!r}: must be a number of hours from {shortest:g} to {longest:g}")
         if generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
         self.network = network
@@ -121,6 +116,8 @@ class MultiStage:
         self.step = float(step)
         self.arrays = per_unit(network)
         self.formulation = make_formulation(formulation)
+        needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
+        check_memory(f"horizon = {horizon:,}", needed)
         self.objective = Economic() if objective is None else objective
         if not isinstance(self.objective, Objective):
             raise ModelError(f"objective = {objective!r}: must be an objective, such as Economic()")
@@ -192,6 +189,8 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
         if name in self._constraints:
             raise ModelError(f"two constraints are named {name!r}")
+        if fault := name_fault(name):
+            raise ModelError(f"constraint {name!r}: the name {fault}")
         limits = limit_of(name, "at_least", at_least, -np.inf), limit_of(name, "at_most", at_most, np.inf)
         self._constraints[name] = OwnConstraint(constraint, *limits)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import Component, Load, Network
+from opfmodel.data.columns import Columns
 from opfmodel.errors import ProfileError, nearest
 
 __all__ = ["ProfileRule", "Workbook"]
@@ -35,7 +35,7 @@ class Workbook:
     series
         Series by ``"component.field"``, in physical units.
     sources
-        The file that a series is from and the line of each value, for messages.
+        The columns of a file that a series is from, for messages.
     """
 
     network: Network
@@ -43,7 +43,7 @@ class Workbook:
     step: float
     folder: Path
     series: dict[str, Array] = field(default_factory=dict)
-    sources: dict[str, tuple[Path, Sequence[int]]] = field(default_factory=dict)
+    sources: dict[str, Columns] = field(default_factory=dict)
 
     def get(self, component: str, key: str) -> Array:
         """The series of a field so far; a constant one if no rule has touched it."""
@@ -63,8 +63,7 @@ class Workbook:
         """Where in a file the value is that an error is about; empty if it is from none."""
         if error.series not in self.sources or error.step is None:
             return ""
-        path, lines = self.sources[error.series]
-        return f"{path}: line {lines[error.step]}, column {error.series!r}: "
+        return self.sources[error.series].place(error.series, error.step)
 
     def loads(self, names: list[str] | None) -> list[str]:
         """Names of loads: the given ones, checked, or all."""

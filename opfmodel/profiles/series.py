@@ -13,7 +13,7 @@ from opfmodel.components import Component, Network, PiecewiseLinear
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.network import PerUnitNetwork
 from opfmodel.profiles.base import constant
-from opfmodel.units import scale
+from opfmodel.units import LARGEST, scale
 
 __all__ = ["Profiles"]
 
@@ -85,8 +85,9 @@ class Profiles:
     def check(self, network: Network, arrays: PerUnitNetwork) -> None:
         """Raise :class:`ProfileError` if a series is of nothing that may change, or breaks a rule.
 
-        The rules are those of the fields: bounds do not cross, a rating is at least 0.
+        The rules are those of the fields: bounds do not cross, a rating is at least 0. Values are finite.
         """
+        self.check_finite(network)
         for name, key in self.series:
             if name not in network:
                 raise ProfileError(f"profile '{name}.{key}': no such component; {nearest(name, network)}")
@@ -108,6 +109,29 @@ class Profiles:
                     "it cannot have a time series"
                 )
             self._check_values(network, name, key)
+
+    def check_finite(self, network: Network) -> None:
+        """Raise :class:`ProfileError` for a value that is not a finite number.
+
+        Infinity is accepted where a field says by it that there is no limit: ``rating``, ``ramp``, and
+        the reactive limits of generators.
+        """
+        for (name, key), values in self.series.items():
+            wrong = ~(np.abs(values) <= LARGEST)  # not a number is wrong, too
+            if not wrong.any():
+                continue
+            unlimited = network[name].unlimited(key) if name in network else None
+            if unlimited is not None:
+                wrong &= values != unlimited
+            if wrong.any():
+                step = int(np.argmax(wrong))
+                also = "" if unlimited is None else f", or {unlimited:g} for no limit"
+                raise ProfileError(
+                    f"profile '{name}.{key}': step {step}: {values[step]:g}: must be a finite number "
+                    f"of at most {LARGEST:g}{also}",
+                    f"{name}.{key}",
+                    step,
+                )
 
     def _check_values(self, network: Network, name: str, key: str) -> None:
         """Hold one series to the rules of its field."""
@@ -215,10 +239,11 @@ def _other_ends(component: Component, key: str) -> Iterator[tuple[str, bool]]:
 def _vector(key: str, values: Any) -> Array:
     try:
         array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ProfileError(f"profile {key!r}: the values must be numbers") from None
     if array.ndim != 1:
         raise ProfileError(f"profile {key!r}: one value per time step is expected, not shape {array.shape}")
     if np.isnan(array).any():
-        raise ProfileError(f"profile {key!r}: step {int(np.argmax(np.isnan(array)))} is not a number")
+        step = int(np.argmax(np.isnan(array)))
+        raise ProfileError(f"profile {key!r}: step {step} is not a number", key, step)
     return array

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from opfmodel.data.columns import read_columns
 from opfmodel.errors import ProfileError
 from opfmodel.profiles.base import ProfileRule, Workbook
-from opfmodel.profiles.columns import read_columns
 
 __all__ = ["Shape"]
 
@@ -35,7 +35,7 @@ class Shape(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Multiply the demand."""
         path = book.folder / self.file
-        columns = read_columns(path, None, [self.column, *self.less])
+        columns = read_columns(path, None, [self.column, *self.less]).values
         curve = columns[self.column] - sum(columns[heading] for heading in self.less)
         if len(curve) < book.steps:
             raise ProfileError(f"{path}: {len(curve)} rows; {book.steps} are needed")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from opfmodel.data.columns import read_columns
 from opfmodel.errors import ProfileError
 from opfmodel.profiles.base import ProfileRule, Workbook, constant
-from opfmodel.profiles.columns import read_columns, read_rows
 
 __all__ = ["Table"]
 
@@ -13,7 +13,8 @@ class Table(ProfileRule):
     """Series from the columns of a CSV file, each headed ``component.field``.
 
     Lines that begin with ``#`` are comments; a column without a dot in its heading (a time stamp,
-    say) is ignored.
+    say) is ignored. What follows the rows that the scenario needs is not read. ``inf`` stands for "no
+    limit" in columns of ratings and ramps, and of generators' ``q_min`` (``-inf``) and ``q_max``.
 
     Parameters
     ----------
@@ -27,11 +28,11 @@ class Table(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Replace the series of the fields that the file has."""
         path = book.folder / self.file
-        lines = [number for number, _ in read_rows(path)[1]]
-        for heading, values in read_columns(path, book.steps).items():
+        columns = read_columns(path, book.steps, unlimited=True)
+        for heading, values in columns.values.items():
             component, _, key = heading.rpartition(".")
             if component not in book.network:
                 raise ProfileError(f"{path}: column {heading!r}: the network has no component {component!r}")
             constant(book.network[component], key)
             book.set(component, key, values)
-            book.sources[heading] = path, lines
+            book.sources[heading] = columns

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
 from opfmodel.plan import Initial, MultiStage, Plan
@@ -116,11 +116,21 @@ class Controller:
         return self.problem.elastic_twin(self.elastic)
 
     def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
-        """What is expected of the stages ahead, in per unit; None for what happens."""
+        """What is expected of the stages ahead, in per unit; None for what happens.
+
+        Raises
+        ------
+        ModelError
+            The forecast is not finite.
+        """
         if self.forecast is None:
             return None
         problem = self.problem
         expected = self.forecast.expected(problem.profiles, time, problem.horizon)
+        try:
+            expected.check_finite(problem.network)
+        except ProfileError as error:
+            raise ModelError(f"forecast {type(self.forecast).__name__} at step {time}: {error}") from error
         window = expected.window(problem.arrays, 0, problem.horizon)
         if ("generator", "p_max") in window:  # a unit that runs can at least do that
             least = window.get(("generator", "p_min"), problem.arrays.generator.p_min)

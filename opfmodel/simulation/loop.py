@@ -10,6 +10,7 @@ from typing import Any
 
 from opfmodel.errors import ModelError
 from opfmodel.forecasts.base import Forecast
+from opfmodel.memory import check_memory, run_bytes
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
@@ -61,6 +62,8 @@ def simulate(
     ------
     ModelError
         The time series are too short, or the forecast is imperfect and the plant nominal.
+    SizeError
+        The results of so many steps need more memory than the machine has.
     """
     if isinstance(controller, MultiStage):
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
@@ -71,6 +74,7 @@ def simulate(
     plant = NominalPlant() if plant is None else plant
     check_response(controller.forecast, plant)
     problem = controller.problem
+    check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
     needed, length = steps + problem.horizon - 1, problem.profiles.length
     if length is not None and length < needed:
         raise ModelError(

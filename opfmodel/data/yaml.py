@@ -1,0 +1,259 @@
+"""YAML 1.2 as plain data that remembers where each value stands.
+
+Data are built from the events of libyaml, which is C: a million values take two seconds. The composer and the
+constructors of the library, which know YAML 1.1 and build objects, are not used. What a plain word stands for
+is the core schema of YAML 1.2 (``yes``, ``on`` and dates are text, ``012`` is twelve), with underscores in
+numbers and the merge key ``<<``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, NoReturn
+
+import yaml
+
+from opfmodel.errors import ScenarioError
+from opfmodel.text import name_fault, shown
+
+__all__ = ["Place", "parse"]
+
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # a PyYAML built without libyaml is slow, not wrong
+_MOST_LEVELS = 50
+_MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
+_MOST_DIGITS = 100
+_WORDS: dict[str, Any] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **{sign + word: math.inf for sign in ("", "+") for word in (".inf", ".Inf", ".INF")},
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), -math.inf),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
+}
+_INTEGER = re.compile(
+    r"[-+]?(?:(0b_*[01][01_]*)|(0o_*[0-7][0-7_]*)|(0x_*[0-9a-fA-F][0-9a-fA-F_]*)|[0-9][0-9_]*)"
+)
+_FLOAT = re.compile(r"[-+]?(?:[0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*|[0-9][0-9_]*(?=[eE]))(?:[eE][-+]?[0-9]+)?")
+_BASES = {None: 10, 1: 2, 2: 8, 3: 16}  # by the group of the expression that matched
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+class Place(NamedTuple):
+    """Where a value stands, or the key that it has, and where the values inside it do.
+
+    Attributes
+    ----------
+    line, column
+        From 1.
+    """
+
+    line: int
+    column: int
+    inside: Mapping[str, Place] | Sequence[Place] = ()
+
+    def at(self, key: Sequence[str | int]) -> Place:
+        """The place of a value inside; of one that is not there the last on the way to it."""
+        place = self
+        for part in key:
+            inside: Any = place.inside
+            known = part in inside if isinstance(inside, dict) else part in range(len(inside))
+            if not known:
+                break
+            place = inside[part]
+        return place
+
+
+def parse(text: str, source: str) -> tuple[Any, Place]:
+    """Dictionaries, lists, strings, numbers, booleans and None, and where they stand.
+
+    Parameters
+    ----------
+    source
+        What messages begin with: the name of the file.
+
+    Raises
+    ------
+    ScenarioError
+        The text is not YAML 1.2, has a key twice or one that is not a word or a number, a tag, an integer
+        of more than 64 bits, more than fifty levels or two million values; the message names line and
+        column.
+    """
+    try:
+        content, inside = _Reader(text, source).document()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        if error.context_mark is not None and mark.index >= len(text.rstrip()):
+            mark = error.context_mark  # the end of the file says less than the place of what was not closed
+        where = f"{mark.line + 1}:{mark.column + 1}"
+        raise ScenarioError(f"{source}:{where}: not YAML: {error.problem}") from None
+    except (yaml.YAMLError, UnicodeEncodeError):
+        raise ScenarioError(_unprintable(text, source)) from None
+    return content, Place(1, 1, inside)
+
+
+def _unprintable(text: str, source: str) -> str:
+    found = _UNPRINTABLE.search(text)
+    if found is None:
+        return f"{source}: not YAML"
+    line, column = text.count("\n", 0, found.start()), found.start() - text.rfind("\n", 0, found.start())
+    return f"{source}:{line + 1}:{column}: not YAML: the character {found[0]!a}"
+
+
+class _Node(NamedTuple):
+    """A value, the places inside it, and how many values it is."""
+
+    value: Any
+    inside: Any
+    size: int
+
+
+class _Reader:
+    """Makes plain data of the events of a parser."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self.source = source
+        self.events: Iterator[Any] = yaml.parse(text, Loader=_LOADER)
+        self.anchors: dict[str, _Node] = {}
+        self.count = 0
+
+    def document(self) -> tuple[Any, Any]:
+        """The value of the only document, None if there is none, and the places inside it."""
+        next(self.events)
+        begin = next(self.events)
+        if isinstance(begin, yaml.StreamEndEvent):
+            return None, ()
+        if begin.version not in (None, (1, 2)):
+            number = ".".join(map(str, begin.version))
+            self.refuse(begin, f"the document is of YAML {number}; YAML 1.2 is read")
+        node = self.node(next(self.events), 0)
+        next(self.events)
+        after = next(self.events)
+        if isinstance(after, yaml.DocumentStartEvent):
+            self.refuse(after, "not YAML: but found another document")
+        return node.value, node.inside
+
+    def refuse(self, event: Any, message: str) -> NoReturn:
+        """Raise an error that names the position of an event."""
+        mark = event.start_mark
+        raise ScenarioError(f"{self.source}:{mark.line + 1}:{mark.column + 1}: {message}")
+
+    def node(self, event: Any, level: int) -> _Node:
+        """The value that an event begins."""
+        if isinstance(event, yaml.AliasEvent):
+            return self.anchored(event)
+        self.check_tag(event)
+        if isinstance(event, yaml.ScalarEvent):
+            self.add(event, 1)
+            node = _Node(self.scalar(event), (), 1)
+        elif level >= _MOST_LEVELS:
+            self.refuse(event, f"nested too deeply; at most {_MOST_LEVELS} levels are accepted")
+        else:
+            self.add(event, 1)
+            before = self.count
+            sequence = isinstance(event, yaml.SequenceStartEvent)
+            value, inside = self.sequence(level + 1) if sequence else self.mapping(level + 1)
+            node = _Node(value, inside, 1 + self.count - before)
+        if event.anchor is not None:
+            self.anchors[event.anchor] = node
+        return node
+
+    def check_tag(self, event: Any) -> None:
+        """Refuse tags, which make more than data of a value."""
+        if event.tag is not None:
+            tag = event.tag.replace("tag:yaml.org,2002:", "!!", 1)
+            self.refuse(event, f"the tag {shown(tag)} is not accepted; plain data only")
+
+    def add(self, event: Any, size: int) -> None:
+        """Count values."""
+        self.count += size
+        if self.count > _MOST_VALUES:
+            self.refuse(event, f"expands to more than {_MOST_VALUES} values; too many aliases?")
+
+    def anchored(self, event: Any) -> _Node:
+        """What an alias stands for."""
+        if event.anchor not in self.anchors:
+            self.refuse(event, f"no anchor {event.anchor!r} ends before this alias of it")
+        node = self.anchors[event.anchor]
+        self.add(event, node.size)
+        return node
+
+    def sequence(self, level: int) -> tuple[list[Any], list[Place]]:
+        """Values until the end of a sequence."""
+        values, places = [], []
+        while not isinstance(event := next(self.events), yaml.SequenceEndEvent):
+            node = self.node(event, level)
+            values.append(node.value)
+            places.append(Place(event.start_mark.line + 1, event.start_mark.column + 1, node.inside))
+        return values, places
+
+    def mapping(self, level: int) -> tuple[dict[str, Any], dict[str, Place]]:
+        """Keys and values until the end of a mapping; its own keys stand before those that it merges."""
+        values: dict[str, Any] = {}
+        places: dict[str, Place] = {}
+        merged: list[_Node] | None = None
+        while not isinstance(event := next(self.events), yaml.MappingEndEvent):
+            if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
+                if merged is not None:
+                    self.refuse(event, "not YAML: found duplicate merge key '<<'")
+                merged = self.merged(level)
+                continue
+            key = self.key(event)
+            if key in values:
+                self.refuse(event, f"not YAML: found duplicate key {key!r}")
+            node = self.node(next(self.events), level)
+            values[key] = node.value
+            places[key] = Place(event.start_mark.line + 1, event.start_mark.column + 1, node.inside)
+        for node in merged or ():
+            values = {**values, **{k: v for k, v in node.value.items() if k not in values}}
+            places = {**places, **{k: v for k, v in node.inside.items() if k not in places}}
+        return values, places
+
+    def merged(self, level: int) -> list[_Node]:
+        """The mappings that a merge key names, one or a sequence of them; the first has precedence."""
+        event = next(self.events)
+        node = self.node(event, level)
+        nodes = [node]
+        if isinstance(node.value, list):
+            nodes = [_Node(v, at.inside, 1) for v, at in zip(node.value, node.inside, strict=True)]
+        if not all(isinstance(each.value, dict) for each in nodes):
+            self.refuse(event, "a merge key takes a mapping, or a list of mappings")
+        return nodes
+
+    def key(self, event: Any) -> str:
+        """A key as text; whole numbers have one spelling, so that ``1`` and ``01`` are the same name."""
+        if isinstance(event, yaml.AliasEvent):
+            value = self.anchored(event).value
+            text = str(value)
+        elif isinstance(event, yaml.ScalarEvent):
+            self.check_tag(event)
+            value = self.scalar(event)
+            text = str(value) if type(value) is int else event.value
+            if event.anchor is not None:
+                self.anchors[event.anchor] = _Node(value, (), 1)
+        else:
+            value = {}
+            text = ""
+        if isinstance(value, dict | list):
+            self.refuse(event, "a key is a word or a number, not a mapping or a list")
+        if fault := name_fault(text):
+            self.refuse(event, f"the key {shown(text)} {fault}")
+        return text
+
+    def scalar(self, event: Any) -> Any:
+        """The value of a word: text if it is quoted, else what the core schema says."""
+        text: str = event.value
+        if not event.implicit[0]:
+            return text
+        if text in _WORDS:
+            return _WORDS[text]
+        if text[0] not in "+-.0123456789":
+            return text
+        if match := _INTEGER.fullmatch(text):
+            digits = text.replace("_", "")
+            number = int(digits, _BASES[match.lastindex]) if len(digits) <= _MOST_DIGITS else None
+            if number is None or not -(2**63) <= number < 2**63:
+                self.refuse(event, f"{shown(text)}: integers of more than 64 bits are not accepted")
+            return number
+        return float(text.replace("_", "")) if _FLOAT.fullmatch(text) else text

@@ -1,0 +1,164 @@
+"""CSV files: what is read of them, and what is refused at once."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from opfmodel.data import columns
+from opfmodel.data.columns import read_columns
+from opfmodel.errors import ProfileError
+
+TEXT = "# MW\nhour,a.p,b.p,issued\n0,1,2,0\n\n1,3,4,0\n# later\n2,5,6,1\n"
+
+
+def write(folder: Path, content: str | bytes) -> Path:
+    path = folder / "series.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def test_columns_have_values_and_lines(tmp_path: Path) -> None:
+    read = read_columns(write(tmp_path, TEXT))
+    assert {heading: values.tolist() for heading, values in read.values.items()} == {
+        "a.p": [1, 3, 5],
+        "b.p": [2, 4, 6],
+    }
+    assert list(read.lines) == [3, 5, 7]
+    assert read.place("b.p", 2).endswith("series.csv: line 7, column 'b.p': ")
+
+
+def test_columns_are_chosen(tmp_path: Path) -> None:
+    path = write(tmp_path, TEXT)
+    assert list(read_columns(path, headings=["hour"]).values) == ["hour"]
+    assert list(read_columns(path, headings=["hour"], optional=["none", "issued"]).values) == [
+        "hour",
+        "issued",
+    ]
+
+
+@pytest.mark.parametrize(
+    "rest", [b"3,many\n", b"3,4,5\n", b"3,\xff\n", b"\0" * 100, b"\n" * 10 + b"1" * 200_000]
+)
+def test_nothing_is_read_beyond_the_rows_that_are_needed(tmp_path: Path, rest: bytes) -> None:
+    rows = b"".join(b"%d,%d\n" % (row, row) for row in range(20_000))
+    path = write(tmp_path, b"hour,a.p\n" + rows + rest)
+    assert read_columns(path, 96).values["a.p"].tolist() == list(range(96))
+    with pytest.raises(ProfileError):
+        read_columns(path)
+
+
+@pytest.mark.parametrize("entry", ["inf", "-inf", "Infinity", "1e400", "-1e400"])
+def test_infinity_is_refused_unless_it_may_be_no_limit(tmp_path: Path, entry: str) -> None:
+    path = write(tmp_path, f"a.p,a.rating\n1,1\n2,{entry}\n")
+    with pytest.raises(ProfileError, match=f"line 3, column 'a.rating': '{entry}' is not a finite number"):
+        read_columns(path)
+    assert read_columns(path, unlimited=True).values["a.rating"][1] == float(entry)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("a.p\n1\nnan\n", "line 3, column 'a.p': 'nan' is not a number"),
+        ("a.p,b.p\n1\n", "line 2, column 'b.p': nothing is not a number"),
+        ("a.p\n1,5\n", "line 2: 2 cells under 1 headings"),
+        ("a.p\n1\n", "1 rows; 3 are needed"),
+        ("", "the file is empty"),
+        ("a.p, a.p\n", "line 1: two columns are headed 'a.p'"),
+        ("a\n1\n", "no column is headed 'component.field'.* columns are: a$"),
+        (",".join(f"c{n}" for n in range(50_000)) + "\n", r".* c18, c19 \.\.\.$"),
+        (f"a.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
+        (b"a.p\n\xff\n", "not a text file in UTF-8"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(tmp_path: Path, content: str | bytes, message: str) -> None:
+    with pytest.raises(ProfileError, match=f"series.csv: {message}"):
+        read_columns(write(tmp_path, content), 3, unlimited=True)
+
+
+def test_no_line_may_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(columns, "_LONGEST_LINE", 1000)
+    with pytest.raises(ProfileError, match="line 2: has more than 1,000 characters"):
+        read_columns(write(tmp_path, "a.p\n" + "1," * 1000))
+
+
+# Files that are none ----------------------------------------------------------------------------
+
+NETWORK = "network: {buses: {a: {}}, generators: {g: {bus: a, p: [0, 9]}}, loads: {l: {bus: a, p: 1}}}\n"
+NAMED = {
+    "table": "profiles: [{table: {file: PATH}}]",
+    "shape": "profiles: [{shape: {file: PATH, column: l.p}}]",
+    "forecast": "forecast: {file: {file: PATH}}\nplant: {mode: redispatch}",
+    "constraint": "constraints: {c: {terms: {g.pg: 1}, at_most: {file: PATH, column: l.p}}}",
+    "set-points": "controller: {objective: {setpoint-tracking: {setpoints: {file: PATH}}}}",
+}
+SCRIPT = """
+import json, resource, sys
+from opfmodel.errors import OpfmodelError
+from opfmodel.scenario import load_scenario
+from opfmodel.study import read_study
+limit = 8_000_000_000
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+for path in sys.argv[1:]:
+    for read in (read_study,) if path.endswith("study.yaml") else (load_scenario,):
+        try:
+            read(path)
+            print(json.dumps("accepted"))
+        except OpfmodelError as error:
+            print(json.dumps(str(error)))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes and devices")
+def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
+    """Whoever opens them otherwise waits, or reads without end."""
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    kinds = {pipe: "a pipe", folder: "a folder", "/dev/stdin": "a pipe", "/dev/zero": "a device", "/dev/urandom": "a device"}  # fmt: skip
+    files, expected = [], []
+    for number, (path, kind) in enumerate(kinds.items()):
+        for use, text in NAMED.items():
+            files.append(tmp_path / f"{number}-{use}.yaml")
+            files[-1].write_text(NETWORK + text.replace("PATH", str(path)) + "\n")
+            expected.append(f"{path}: is {kind}; a regular file is needed")
+        for name in ("scenario.yaml", "study.yaml"):
+            files.append(tmp_path / f"{number}-{name}")
+            files[-1].symlink_to(path)
+            expected.append(f"{files[-1]}: is {kind}; a regular file is needed")
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, *map(str, files)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.wait(120)  # standard input stays open
+        said = [json.loads(line) for line in process.stdout]
+    finally:
+        process.kill()
+        process.stdin.close()
+        process.stdout.close()
+    for file, message, answer in zip(files, expected, said, strict=True):
+        assert answer.endswith(message), file.name
+        assert answer.isprintable()
+
+
+@pytest.mark.parametrize("use", NAMED)
+@pytest.mark.parametrize("name", ["x" * 5000, "a\\0b", "none.csv"])
+def test_names_that_no_file_can_have(tmp_path: Path, use: str, name: str) -> None:
+    from opfmodel.scenario import load_scenario
+
+    path = tmp_path / "s.yaml"
+    path.write_text(NETWORK + NAMED[use].replace("PATH", f'"{name}"') + "\n")
+    with pytest.raises(Exception, match=r"cannot be read|no such file") as caught:
+        load_scenario(path)
+    assert type(caught.value).__name__ == "ScenarioError"
+    assert "\n" not in str(caught.value)

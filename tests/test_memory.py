@@ -1,0 +1,109 @@
+"""Sizes: what does not fit into memory is refused before anything is allocated."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SCENARIOS, two_bus
+
+import opfmodel as om
+from opfmodel import memory
+from opfmodel.errors import ScenarioError, SizeError
+from opfmodel.forecasts import Noisy
+from opfmodel.memory import check_memory, machine_bytes, problem_bytes
+
+CASE5 = SCENARIOS / "case5-step.yaml"
+BILLION = 10**9
+
+
+@pytest.fixture
+def laptop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 8 * 10**9)
+
+
+def test_what_fits_is_accepted(laptop: None) -> None:
+    check_memory("this", 8 * 10**9)
+    with pytest.raises(SizeError, match="this: needs about 9 GB of memory; this machine has 8 GB"):
+        check_memory("this", 9 * 10**9)
+
+
+@pytest.mark.parametrize("horizon", [BILLION, np.int64(BILLION), 10**30])
+@pytest.mark.parametrize("formulation", ["ac", "dc", "copperplate"])
+def test_a_horizon_in_python(laptop: None, horizon: int, formulation: str) -> None:
+    with pytest.raises(SizeError, match=f"horizon = {horizon:,}: needs about"):
+        om.MultiStage(two_bus(), horizon, formulation=formulation)
+
+
+def test_steps_in_python(laptop: None) -> None:
+    with pytest.raises(SizeError, match="steps = 1,000,000,000: needs about"):
+        om.simulate(om.MultiStage(two_bus()), steps=BILLION)
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("time.steps", ":36:19: time.steps: 1,000,000,000: needs about"),
+        ("controller.horizon", ":48:3: controller.horizon: 1,000,000,000 with 49 steps: needs about"),
+    ],
+)
+def test_a_scenario(laptop: None, key: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        om.load_scenario(CASE5, overrides={key: BILLION})
+
+
+def test_a_problem_that_is_larger_than_its_series(laptop: None) -> None:
+    with pytest.raises(ScenarioError, match="controller: horizon = 1,000,000: needs about"):
+        om.load_scenario(CASE5, overrides={"controller.horizon": 10**6})
+
+
+def test_nothing_is_allocated_before(tmp_path: Path) -> None:
+    """In a process that may have 4 GB, with what a shell says taking the place of a small machine."""
+    script = (
+        "import resource; resource.setrlimit(resource.RLIMIT_AS, (4 * 10**9, 4 * 10**9))\n"
+        "from opfmodel import cli; cli.main()"
+    )
+    for command in (
+        ("validate", CASE5, "--set", f"time.steps={BILLION}"),
+        ("run", CASE5, "--out", tmp_path, "--set", f"controller.horizon={BILLION}"),
+        ("solve", CASE5, "--horizon", BILLION),
+        ("solve", SCENARIOS / "data" / "case118.m", "--horizon", BILLION),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", script, *map(str, command)],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+        assert "of memory; this machine has 4 GB" in done.stderr
+
+
+def test_sizes_that_are_usual_are_accepted() -> None:
+    om.MultiStage(two_bus(), 8760)
+    assert problem_bytes(589, 48, reactive=True) == pytest.approx(48 * 2.3e6, rel=0.1)  # as measured
+    assert problem_bytes(589, 768, reactive=False) == pytest.approx(459e6, rel=0.1)
+
+
+def test_the_memory_of_the_machine_and_of_its_container(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr(memory, "_LIMITS_OF_CONTAINERS", (str(limit),))
+    whole = machine_bytes()
+    assert 10**9 < whole < 10**14
+    for text, expected in (("max\n", whole), ("500000000\n", 500_000_000)):
+        limit.write_text(text)
+        assert machine_bytes() == expected
+    monkeypatch.setattr(memory, "_physical", lambda: None)
+    monkeypatch.setattr(memory, "_limit_of_process", lambda: None)
+    limit.unlink()
+    assert machine_bytes() == 32 * 10**9
+
+
+def test_noise_needs_no_more_memory_than_the_horizon() -> None:
+    assert Noisy(0.1, seed=1).error("town", 0, 200_000).shape == (200_000,)
