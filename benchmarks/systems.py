@@ -11,8 +11,9 @@ import numpy as np
 
 import opfmodel as om
 from opfmodel.cases import read_network
+from opfmodel.data.series import Profiles
 from opfmodel.network import PerUnitNetwork, Table
-from opfmodel.profiles.series import Profiles
+from opfmodel.profiles.series import window
 
 ROOT = Path(__file__).parent.parent
 SCENARIO_DATA, PGLIB = ROOT / "scenarios" / "data", ROOT / "tests" / "data" / "pglib"
@@ -71,6 +72,6 @@ def demand(
     network: PerUnitNetwork, series: Mapping[str, np.ndarray], start: int, stages: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Active and reactive demand of each bus, p.u., ``(buses, stages)``."""
-    window = network.with_series(Profiles.of(series).window(network, start, stages))
-    pd, qd = (window.at_buses("load", window.load.arrays[key]) for key in ("p", "q"))
+    ahead = network.with_series(window(Profiles(series), network, start, stages))
+    pd, qd = (ahead.at_buses("load", ahead.load.arrays[key]) for key in ("p", "q"))
     return pd, qd

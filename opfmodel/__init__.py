@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         Shunt,
         Storage,
     )
+    from opfmodel.data.series import Profiles
     from opfmodel.errors import OpfmodelError
     from opfmodel.forecasts import Forecast
     from opfmodel.model import Elastic
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from opfmodel.objectives.voltage_deviation import VoltageDeviation
     from opfmodel.plan import End, MultiStage, Plan
     from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
-    from opfmodel.profiles.series import Profiles
     from opfmodel.scenario import Scenario, load_scenario
     from opfmodel.simulation import Controller, NominalPlant, Plant, PowerFlow, Redispatch, Run, simulate
     from solvers.expression import largest, total
@@ -75,7 +75,7 @@ _HOMES = {
     "opfmodel.objectives.stored_energy_value": ("StoredEnergyValue",),
     "opfmodel.objectives.voltage_deviation": ("VoltageDeviation",),
     "opfmodel.plan": ("End", "MultiStage", "Plan"),
-    "opfmodel.profiles.series": ("Profiles",),
+    "opfmodel.data.series": ("Profiles",),
     "opfmodel.scenario": ("Scenario", "load_scenario"),
     "opfmodel.plan.single_stage": ("SingleStageSequence", "single_stage_sequence"),
     "opfmodel.simulation": (

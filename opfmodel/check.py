@@ -31,6 +31,7 @@ from opfmodel.components import (
     Shunt,
     Storage,
 )
+from opfmodel.data.series import Profiles, SeriesKey
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["Report", "Violation", "check", "economic_cost", "losses"]
 
 Array = npt.NDArray[np.float64]
-Series = Mapping[str, npt.ArrayLike]
+Series = Mapping[Any, npt.ArrayLike]
 Flows = dict[str, tuple[Any, Any]]
 
 
@@ -140,7 +141,8 @@ def check(
         ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
         attribute ``formulation`` names the physics, AC by default.
     series
-        Time series by ``"component.field"``; other fields are constant.
+        Time series: :class:`opfmodel.Profiles`, or values by ``"component.field"``; other fields are
+        constant.
     first
         Position in the series of the first stage of ``data``.
     previous_pg
@@ -150,17 +152,17 @@ def check(
     -------
     Report
     """
-    return _Checker(network, data, dict(series or {}), first).run(previous_pg)
+    return _Checker(network, data, Profiles.of(series), first).run(previous_pg)
 
 
 def economic_cost(network: Network, data: xr.Dataset, series: Series | None = None, first: int = 0) -> Array:
     """Operating cost of the generators in each stage, $/h, from ``pg`` and the declared costs."""
-    return _Checker(network, data, dict(series or {}), first).cost_rate()
+    return _Checker(network, data, Profiles.of(series), first).cost_rate()
 
 
 def losses(network: Network, data: xr.Dataset) -> Array:
     """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
-    flows = _ac_flows(_Checker(network, data, {}, 0))
+    flows = _ac_flows(_Checker(network, data, Profiles(), 0))
     total = np.zeros(data.sizes["time"])
     for at_from, at_to in flows.values():
         total += at_from.real + at_to.real
@@ -170,7 +172,7 @@ def losses(network: Network, data: xr.Dataset) -> Array:
 class _Checker:
     """One pass over the components of a network and the stages of a trajectory."""
 
-    def __init__(self, network: Network, data: xr.Dataset, series: dict[str, Any], first: int) -> None:
+    def __init__(self, network: Network, data: xr.Dataset, series: Profiles, first: int) -> None:
         self.network = network
         self.base = network.base_mva
         self.scale = network.scale_mva
@@ -210,7 +212,7 @@ class _Checker:
 
     def declared(self, component: str, key: str, constant: float | None) -> Array:
         """A field of a component over the stages: its time series or its constant."""
-        values = self.series.get(f"{component}.{key}")
+        values = self.series.get(SeriesKey(component, key))
         if values is not None:
             return np.asarray(values, dtype=float)[self.first : self.first + len(self.times)]
         return np.full(len(self.times), math.inf if constant is None else constant)

@@ -224,7 +224,7 @@ def run(
     }
     if done.steps:
         data = done.data
-        report = check(loaded.network, data, loaded.profiles.named)
+        report = check(loaded.network, data, loaded.profiles)
         exceeded = _exceeded(report)
         summary |= {
             "max_violation": report.max_violation,
@@ -449,7 +449,7 @@ def _check_on_infeasible(value: str | None) -> None:
 def _verify(problem: MultiStage, plan: Plan) -> Report:
     from opfmodel.check import check
 
-    return check(problem.network, plan.data, problem.profiles.named)
+    return check(problem.network, plan.data, problem.profiles)
 
 
 def _is_scenario(file: Path) -> bool:

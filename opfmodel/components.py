@@ -22,11 +22,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache
 from itertools import pairwise
-from typing import Any, ClassVar, Self, TypeGuard, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, TypeGuard, TypeVar
 
 import numpy as np
 
-from opfmodel.errors import ComponentError, NetworkError, nearest
+from opfmodel.errors import ComponentError, NetworkError, ProfileError, nearest
 from opfmodel.text import name_fault
 from opfmodel.units import BASE_MVA, LARGEST, bounded
 
@@ -43,6 +43,7 @@ __all__ = [
     "Polynomial",
     "Shunt",
     "Storage",
+    "TableField",
     "at_bus",
     "flag",
     "name_pattern",
@@ -270,6 +271,22 @@ class PiecewiseLinear(Cost):
 # Components -------------------------------------------------------------------------------------
 
 
+class TableField(NamedTuple):
+    """A quantity that the arrays of a kind of component have.
+
+    Attributes
+    ----------
+    form, unit
+        Form and unit of the field that it comes from.
+    series
+        Whether it may have a time series.
+    """
+
+    form: str
+    unit: str
+    series: bool
+
+
 class Component:
     """Base class of everything that is declared in a network.
 
@@ -327,6 +344,56 @@ class Component:
     def fields(cls) -> Mapping[str, Field[Any]]:
         """The fields by name."""
         return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    @cache
+    def table_fields(cls) -> Mapping[str, TableField]:
+        """The quantities that arrays of the kind have, by name: ``p_min`` and ``p_max`` of a span ``p``.
+
+        Examples
+        --------
+        >>> list(Generator.table_fields())
+        ['p_min', 'p_max', 'q_min', 'q_max', 'ramp', 'c2', 'c1', 'c0']
+        """
+        made = {}
+        for name, item in cls.fields().items():
+            form, unit = item.metadata["form"], item.metadata["unit"]
+            series = item.metadata.get("series", True)
+            if form == "number":
+                made[name] = TableField(form, unit, series)
+            elif form == "span":
+                made |= dict.fromkeys((f"{name}_min", f"{name}_max"), TableField(form, unit, series))
+            elif form == "cost":
+                units = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
+                made |= {coefficient: TableField(form, u, series) for coefficient, u in units.items()}
+        return made
+
+    def constant(self, field: str) -> float:
+        """Value of a quantity of the arrays (``p``, ``p_max``, ``c1``) as the component declares it.
+
+        Raises
+        ------
+        ProfileError
+            The component has no such number; of a range the message names the two ends.
+        """
+        component, known = self.resolved(), self.fields()
+        stem, _, end = field.rpartition("_")
+        of = self.table_fields().get(field)
+        if of is not None and of.form == "number":
+            value = getattr(component, field)
+            return INF if value is None else float(value)  # None is "no limit"
+        if of is not None and of.form == "span":
+            pair = getattr(component, stem)
+            return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))
+        if of is not None:
+            (cost,) = (
+                getattr(component, name) for name, item in known.items() if item.metadata["form"] == "cost"
+            )
+            if hasattr(cost, field):
+                return float(getattr(cost, field))
+        span = field in known and known[field].metadata["form"] == "span"
+        ends = f"; it has {field}_min and {field}_max" if span else ""
+        raise ProfileError(f"a {self.kind} has no number {field!r}{ends}")
 
     @classmethod
     @cache

@@ -64,10 +64,10 @@ class ProfileError(OpfmodelError):
     Attributes
     ----------
     series, step
-        ``component.field`` and the step at fault, if it is one value that breaks a rule.
+        Component and field of the series, and the step if it is one value that breaks a rule.
     """
 
-    def __init__(self, message: str, series: str | None = None, step: int | None = None) -> None:
+    def __init__(self, message: str, series: tuple[str, str] | None = None, step: int | None = None) -> None:
         super().__init__(message)
         self.series = series
         self.step = step

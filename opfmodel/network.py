@@ -45,7 +45,7 @@ class Table:
     names
         Names of the components.
     units
-        Physical unit of each array.
+        Physical unit of each quantity that a component declares.
     """
 
     kind: type[Component]
@@ -288,7 +288,6 @@ def _table(
     declared_mva: float,
 ) -> Table:
     arrays: dict[str, npt.NDArray[Any]] = {}
-    units: dict[str, str] = {}
     resolved = [member.resolved() for member in members.values()]
     for key, item in kind.fields().items():
         form, unit = item.metadata["form"], item.metadata["unit"]
@@ -296,20 +295,18 @@ def _table(
         factor = scale(unit, base_mva, declared_mva)
         if form == "number":
             plain = [np.inf if v is None else v for v in values]
-            arrays[key], units[key] = _column(plain) / factor, unit
+            arrays[key] = _column(plain) / factor
         elif form == "span":
             pairs = [v if isinstance(v, tuple | list) else (-v, v) for v in values]
             ends = np.array(pairs, dtype=float).reshape(-1, 2) / factor
             arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1].copy(), ends[:, 1:].copy()
-            units[f"{key}_min"] = units[f"{key}_max"] = unit
         elif form == "flag":
-            arrays[key], units[key] = np.array(values, dtype=bool), ""
+            arrays[key] = np.array(values, dtype=bool)
         elif form == "bus":
-            arrays[key], units[key] = np.array([buses[v] for v in values], dtype=np.intp), ""
+            arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
             arrays |= _cost_arrays(values, base_mva)
-            units |= {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
-            units |= {"segment_owner": "", "segment_slope": "$/MWh", "segment_offset": "$/h"}
+    units = {name: field.unit for name, field in kind.table_fields().items()}
     return Table(kind, tuple(members), arrays, units, base_mva)
 
 

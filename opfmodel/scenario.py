@@ -21,6 +21,7 @@ from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
 from opfmodel.constraints import Limited
 from opfmodel.data.columns import read_columns
+from opfmodel.data.series import Profiles
 from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
     CaseError,
@@ -44,8 +45,8 @@ from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage, PhysicalStage
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
-from opfmodel.profiles.base import Workbook, constant
-from opfmodel.profiles.series import Profiles
+from opfmodel.profiles.base import Workbook
+from opfmodel.profiles.series import check_finite, check_series
 from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
 from opfmodel.text import name_fault, shown
 from opfmodel.units import LARGEST, STEP_HOURS, bounded
@@ -513,7 +514,7 @@ class _Declarations:
             if match:
                 whole = kind.from_mapping(name, known)
                 try:
-                    resolved[key] = float(match[1]) / 100.0 * constant(whole, match[2])
+                    resolved[key] = float(match[1]) / 100.0 * whole.constant(match[2])
                 except ProfileError as error:
                     raise ComponentError(name, key, value, str(error)) from error
         return resolved
@@ -555,10 +556,10 @@ def _profiles(document: Document, settings: _File, network: Network) -> Profiles
         with _located(document, (*key, name)), _sourced(book):
             plugins.make("profile", name, options).apply(book)
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
-            Profiles.of(changed).check_finite(network)
+            check_finite(Profiles(changed), network)
     with _located(document, ("profiles",)), _sourced(book):
-        made = Profiles.of(book.series)
-        made.check(network, per_unit(network))
+        made = Profiles(book.series)
+        check_series(made, network)
         return made
 
 

@@ -306,7 +306,7 @@ def greedy(self, actual, time, stages):
     [
         (shortened, "expects one value per stage"),
         (forgetful, "expects every series that there is and no other"),
-        (undefined, "expects finite numbers"),
+        (undefined, "is not a number"),
         (moody, "the same when it is asked again, in another order"),
         (hurried, "expects the same for however many stages"),
         (greedy, "leaves what happens as it is"),

@@ -155,7 +155,7 @@ def test_a_scenario_runs_in_every_formulation(formulation: str) -> None:
     scenario = om.load_scenario(SCENARIOS / "case5-step.yaml", overrides=changes)
     run = scenario.simulate()
     assert (run.status, len(run.steps)) == ("done", 2)
-    series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    series = scenario.profiles
     assert check(scenario.network, run.data, series).max_violation <= 1e-6
 
 

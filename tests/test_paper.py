@@ -70,5 +70,5 @@ def test_upper_voltage_bounds_are_active_in_the_118_bus_system() -> None:
     assert run.status == "done"
     most = np.array([bus.vm[1] for bus in scenario.network.of(om.Bus).values()])
     assert ((run.data["vm"].values > most - 1e-6).sum(axis=1) >= 1).all()
-    series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    series = scenario.profiles
     assert check(scenario.network, run.data, series).max_violation <= 1e-6

@@ -46,7 +46,7 @@ def looped(scenario: om.Scenario, plant: om.Plant | None) -> Run:
 
 
 def series(scenario: om.Scenario) -> Series:
-    return {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    return scenario.profiles
 
 
 def unhurried() -> om.Network:

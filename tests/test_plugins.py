@@ -184,7 +184,7 @@ def test_a_scenario_uses_all_five_by_name(installed: Path) -> None:
     data = run.data
     assert (data.attrs["formulation"], set(data["level"].dims)) == ("lindistflow", {"time", "fleet"})
     assert data["fleet_bus"].values.tolist() == ["close"]
-    series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    series = scenario.profiles
     report = check(scenario.network, data, series)
     assert report.max_violation < 1e-8
     assert set(report.unchecked) == {
@@ -199,7 +199,7 @@ def test_a_scenario_uses_all_five_by_name(installed: Path) -> None:
 def test_the_check_finds_power_that_a_fleet_does_not_draw(installed: Path) -> None:
     scenario = om.load_scenario(SUBURB)
     data = scenario.simulate().data
-    series = {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    series = scenario.profiles
     wrong = data.copy(deep=True)
     wrong["fleet_p"].loc[{"bus": "close", "time": 2.0}] -= 1.0
     assert check(scenario.network, wrong, series).violations["active balance"].value == pytest.approx(0.1)

@@ -37,7 +37,7 @@ def load(folder: Path, text: str) -> om.Scenario:
 def test_series_in_python_are_finite(series: str, value: float) -> None:
     with pytest.raises(ProfileError, match=rf"'{series}': step 1") as caught:
         om.MultiStage(two_bus(), 2, profiles={series: [90, value, 90]})
-    assert (caught.value.series, caught.value.step) == (series, 1)
+    assert (str(caught.value.series), caught.value.step) == (series, 1)
 
 
 def test_infinity_is_no_limit_where_a_field_says_so() -> None:

@@ -30,7 +30,7 @@ def step() -> tuple[om.Scenario, Run]:
 
 
 def series(scenario: om.Scenario) -> dict[str, np.ndarray]:
-    return {f"{name}.{key}": values for (name, key), values in scenario.profiles.series.items()}
+    return scenario.profiles
 
 
 def test_the_cost_of_the_5_bus_step_system(step: tuple[om.Scenario, Run]) -> None:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
-from opfmodel.profiles.series import Array, Profiles
+from opfmodel.data.series import Profiles, SeriesKey
+
+Array = npt.NDArray[np.float64]
 
 __all__ = ["FORECAST_FIELDS", "Array", "Forecast", "part"]
 
@@ -41,6 +44,6 @@ class Forecast:
         raise NotImplementedError
 
 
-def part(actual: Profiles, time: int, stages: int) -> dict[tuple[str, str], Array]:
+def part(actual: Profiles, time: int, stages: int) -> dict[SeriesKey, Array]:
     """What happens in the steps from ``time`` on; series that end before are cut."""
-    return {key: np.asarray(values)[time : time + stages] for key, values in actual.series.items()}
+    return {key: values[time : time + stages] for key, values in actual.items()}

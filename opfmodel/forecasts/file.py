@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from opfmodel.data.columns import read_columns
+from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import Array, Forecast, part
-from opfmodel.profiles.series import Profiles
 
 __all__ = ["File"]
 
@@ -60,18 +60,16 @@ class File(Forecast):
                 f"steps {time} to {time + stages - 1} need {needed}"
             )
         known = part(actual, time, stages)
-        for component, field in series:
-            if (component, field) not in known:
-                raise ProfileError(
-                    f"{self.file}: column '{component}.{field}': there is no such series among the profiles"
-                )
+        for key in series:
+            if key not in known:
+                raise ProfileError(f"{self.file}: column '{key}': there is no such series among the profiles")
         return Profiles(
             {**known, **{key: values[time - issued :][:stages] for key, values in series.items()}}
         )
 
 
-def _read(path: Path) -> dict[int, dict[tuple[str, str], Array]]:
-    """Series by component and field, by the step at which they were issued."""
+def _read(path: Path) -> dict[int, dict[SeriesKey, Array]]:
+    """Series by the step at which they were issued."""
     columns = read_columns(path, optional=(_ISSUED,))
     series = dict(columns.values)
     if not columns.lines:
@@ -82,10 +80,7 @@ def _read(path: Path) -> dict[int, dict[tuple[str, str], Array]]:
         raise ProfileError(f"{columns.place(_ISSUED, parts[0])}{steps[parts[0]]:g} is not a step")
     order = np.argsort(steps, kind="stable")
     issues, begins = np.unique(steps[order], return_index=True)
-    split = {
-        (component, field): np.split(values[order], begins[1:])
-        for (component, _, field), values in ((heading.rpartition("."), v) for heading, v in series.items())
-    }
+    split = {SeriesKey.of(heading): np.split(v[order], begins[1:]) for heading, v in series.items()}
     return {
         int(step): {key: parts[number] for key, parts in split.items()} for number, step in enumerate(issues)
     }

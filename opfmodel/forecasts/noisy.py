@@ -6,9 +6,9 @@ import zlib
 
 import numpy as np
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import FORECAST_FIELDS, Array, Forecast, part
-from opfmodel.profiles.series import Profiles
 
 __all__ = ["Noisy"]
 
@@ -58,11 +58,10 @@ class Noisy(Forecast):
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """What happens, with errors."""
         expected = part(actual, time, stages)
-        for component, field in expected:
-            if field in self.fields:
-                factor = np.maximum(0.0, 1.0 + self.error(component, time, stages))
-                values = expected[component, field]
-                expected[component, field] = values * factor[: values.size]
+        for key, values in expected.items():
+            if key.field in self.fields:
+                factor = np.maximum(0.0, 1.0 + self.error(key.component, time, stages))
+                expected[key] = values * factor[: values.size]
         return Profiles(expected)
 
     def error(self, component: str, time: int, stages: int) -> Array:

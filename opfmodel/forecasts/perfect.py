@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from opfmodel.data.series import Profiles
 from opfmodel.forecasts.base import Forecast, part
-from opfmodel.profiles.series import Profiles
 
 __all__ = ["Perfect"]
 

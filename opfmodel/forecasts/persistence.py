@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import FORECAST_FIELDS, Forecast, part
-from opfmodel.profiles.series import Profiles
 
 __all__ = ["Persistence"]
 
@@ -38,5 +38,5 @@ class Persistence(Forecast):
         """The values of one period before."""
         seen = time - self.period + np.arange(stages) % self.period
         seen = np.where(seen < 0, seen + self.period, seen)
-        held = {key: values[seen] for key, values in actual.series.items() if key[1] in self.fields}
+        held = {key: values[seen] for key, values in actual.items() if key.field in self.fields}
         return Profiles({**part(actual, time, stages), **held})

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from opfmodel import plugins
 from opfmodel.components import Network
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
 from opfmodel.memory import check_memory, problem_bytes
@@ -27,7 +28,7 @@ from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
-from opfmodel.profiles.series import Profiles
+from opfmodel.profiles.series import check_series, fields_with_series, widest, window
 from opfmodel.text import name_fault
 from opfmodel.units import STEP_HOURS, scale
 from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare
@@ -122,7 +123,7 @@ class MultiStage:
         if not isinstance(self.objective, Objective):
             raise ModelError(f"objective = {objective!r}: must be an objective, such as Economic()")
         self.profiles = Profiles.of(profiles)
-        self.profiles.check(network, self.arrays)
+        check_series(self.profiles, network)
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = (
@@ -255,7 +256,7 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        series = self.profiles.window(self.arrays, start, stages)
+        series = window(self.profiles, self.arrays, start, stages)
         for key, values in self._objective_series.items():
             known = values.shape[1]
             if known == 1:
@@ -284,12 +285,12 @@ class MultiStage:
         """What formulation and devices declare, without objective and constraints; not kept."""
         own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
-            self.arrays.with_series({**self.profiles.widest(self.arrays), **own}),
+            self.arrays.with_series({**widest(self.profiles, self.arrays), **own}),
             self.horizon,
             self.step,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
-            series={*self.profiles.fields(self.arrays), *own},
+            series={*fields_with_series(self.profiles, self.arrays), *own},
             elastic=self.elastic,
             regularisation=self.regularisation,
         )

@@ -17,7 +17,6 @@ from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.result import Plan
-from opfmodel.profiles.series import Profiles
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,14 +110,14 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     """
     network = _alone(problem.network)
     kept = problem.profiles.without(problem.network.of(Storage))
-    window = Profiles({key: values[start : start + steps] for key, values in kept.series.items()})
+    window = kept.steps(slice(start, start + steps))
     if window.length is not None and window.length < steps:
         raise ModelError(
             f"{steps} single stages from step {start} need time series of {start + steps} values; "
             f"the shortest has {kept.length}"
         )
     own = _of_objective(problem.objective, network, start, steps)
-    rows = [*window.series.values(), *(row for values in own.values() for row in values)]
+    rows = [*window.values(), *(row for values in own.values() for row in values)]
     first, stage = _distinct(rows, steps)
 
     def solve(chosen: Index) -> Plan:
@@ -129,7 +128,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             problem.step,
             formulation=problem.formulation,
             objective=problem.objective,
-            profiles=Profiles({key: values[chosen] for key, values in window.series.items()}),
+            profiles=window.steps(chosen),
             devices=problem.devices,
             solver=problem.solver,
             options=problem.options,

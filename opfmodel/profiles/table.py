@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from opfmodel.data.columns import read_columns
+from opfmodel.data.series import SeriesKey
 from opfmodel.errors import ProfileError
-from opfmodel.profiles.base import ProfileRule, Workbook, constant
+from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Table"]
 
@@ -30,9 +31,11 @@ class Table(ProfileRule):
         path = book.folder / self.file
         columns = read_columns(path, book.steps, unlimited=True)
         for heading, values in columns.values.items():
-            component, _, key = heading.rpartition(".")
-            if component not in book.network:
-                raise ProfileError(f"{path}: column {heading!r}: the network has no component {component!r}")
-            constant(book.network[component], key)
-            book.set(component, key, values)
-            book.sources[heading] = columns
+            key = SeriesKey.of(heading)
+            if key.component not in book.network:
+                raise ProfileError(
+                    f"{path}: column {heading!r}: the network has no component {key.component!r}"
+                )
+            book.network[key.component].constant(key.field)
+            book.set(key.component, key.field, values)
+            book.sources[key] = columns

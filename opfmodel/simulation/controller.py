@@ -14,6 +14,7 @@ from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.profiles.series import check_finite, window
 from solvers import SolutionStatus
 
 __all__ = ["Attempt", "Controller", "OnInfeasible"]
@@ -128,11 +129,11 @@ class Controller:
         problem = self.problem
         expected = self.forecast.expected(problem.profiles, time, problem.horizon)
         try:
-            expected.check_finite(problem.network)
+            check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"forecast {type(self.forecast).__name__} at step {time}: {error}") from error
-        window = expected.window(problem.arrays, 0, problem.horizon)
-        if ("generator", "p_max") in window:  # a unit that runs can at least do that
-            least = window.get(("generator", "p_min"), problem.arrays.generator.p_min)
-            window["generator", "p_max"] = np.maximum(window["generator", "p_max"], least)
-        return window
+        ahead = window(expected, problem.arrays, 0, problem.horizon)
+        if ("generator", "p_max") in ahead:  # a unit that runs can at least do that
+            least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
+            ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
+        return ahead

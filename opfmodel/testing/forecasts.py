@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
+from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.forecasts.base import Forecast
-from opfmodel.profiles.series import Array, Profiles
 from opfmodel.testing.grids import demand
 from opfmodel.testing.options import check_options
 from solvers.testing import Contract
 
 __all__ = ["check_forecast"]
 
-Series = Mapping[tuple[str, str], Array]
+Series = Mapping[SeriesKey, npt.NDArray[np.float64]]
 
 
 def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
@@ -33,13 +34,13 @@ def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
     rules.require(isinstance(forecast, Forecast), "is a Forecast")
     check_options(rules, type(forecast))
     actual = Profiles.of(demand(6)) if actual is None else actual
-    before = {key: values.copy() for key, values in actual.series.items()}
+    before = {key: values.copy() for key, values in actual.items()}
     asked = [(time, stages) for time in (0, 2, 1) for stages in (3, 1, 2)]
     first, second = (
         {which: _expected(rules, forecast, actual, *which) for which in order}
         for order in (asked, asked[::-1])
     )
-    kept = all(np.array_equal(values, before[key]) for key, values in actual.series.items())
+    kept = all(np.array_equal(values, before[key]) for key, values in actual.items())
     rules.require(kept, "leaves what happens as it is")
     same = all(_equal(first[which], second[which]) for which in asked)
     rules.require(same, "expects the same when it is asked again, in another order")
@@ -51,12 +52,12 @@ def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
 def _expected(rules: Contract, forecast: Forecast, actual: Profiles, time: int, stages: int) -> Series:
     """What is expected, of the right series and shapes."""
     with rules.rule("forecasts every step"):
-        series = forecast.expected(actual, time, stages).series
-    rules.require(series.keys() == actual.series.keys(), "expects every series that there is and no other")
+        series = forecast.expected(actual, time, stages)
+    rules.require(series.keys() == actual.keys(), "expects every series that there is and no other")
     for key, values in series.items():
-        where = f"{'.'.join(key)}, asked for {stages}, has shape {np.shape(values)}"
+        where = f"{key}, asked for {stages}, has shape {np.shape(values)}"
         rules.require(np.shape(values) == (stages,), "expects one value per stage", where)
-        rules.require(np.isfinite(values).all(), "expects finite numbers", ".".join(key))
+        rules.require(np.isfinite(values).all(), "expects finite numbers", str(key))
     return {key: np.array(values) for key, values in series.items()}
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from opfmodel.components import Network
+from opfmodel.data.series import Profiles
 from opfmodel.errors import OpfmodelError
-from opfmodel.network import per_unit
 from opfmodel.profiles.base import ProfileRule, Workbook
-from opfmodel.profiles.series import Profiles
+from opfmodel.profiles.series import check_series
 from opfmodel.testing.grids import feeder
 from opfmodel.testing.options import check_options
 from solvers.testing import Contract
@@ -59,9 +59,9 @@ def _check_series(rules: Contract, book: Workbook) -> None:
     for key, values in book.series.items():
         right = np.shape(values) == (book.steps,)
         rules.require(right, "writes one value per step", f"{key} has shape {np.shape(values)}")
-        rules.require(np.isfinite(values).all(), "writes finite numbers", key)
+        rules.require(np.isfinite(values).all(), "writes finite numbers", str(key))
     with rules.rule("writes series of fields that the network has"):
-        Profiles.of(book.series).check(book.network, per_unit(book.network))
+        check_series(Profiles(book.series), book.network)
 
 
 def _check_kept(rules: Contract, rule: ProfileRule, book: Workbook) -> None:
@@ -92,5 +92,6 @@ def _check_missing(rules: Contract, rule: ProfileRule, network: Network, folder:
         except Exception as error:
             found = f"{type(error).__name__}: {error}"
             rules.require(False, "says by an error of opfmodel what a network lacks", found)
-    strange = [key for key in book.series if key.rpartition(".")[0] not in other]
-    rules.require(not strange, "writes no series of components that do not exist", ", ".join(strange))
+    strange = [key for key in book.series if key.component not in other]
+    found = ", ".join(str(key) for key in strange)
+    rules.require(not strange, "writes no series of components that do not exist", found)

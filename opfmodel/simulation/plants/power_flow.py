@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from opfmodel.components import Generator, Load, Storage
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
 from opfmodel.network import Index, PerUnitNetwork, Table
 from opfmodel.plan import MultiStage, Plan
-from opfmodel.profiles.series import Profiles
 from opfmodel.simulation.plants.base import Array, Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points
 from opfmodel.simulation.records import DESCRIBED
@@ -88,8 +88,8 @@ class PowerFlow(ACPlant):
         free = _without_limits(problem.arrays)
         kept = {
             key: values
-            for key, values in problem.profiles.series.items()
-            if (problem.network[key[0]].kind, key[1]) not in free
+            for key, values in problem.profiles.items()
+            if (problem.network[key.component].kind, key.field) not in free
         }
         made = one_stage(problem, self._set_points, devices, profiles=Profiles(kept))
         made.arrays = made.arrays.with_series(free)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from opfmodel.data.series import SeriesKey
 from opfmodel.model import Device, Stage
 from opfmodel.network import PerUnitNetwork
 from opfmodel.objectives.base import Objective
@@ -69,8 +70,8 @@ class ACPlant(Plant):
             self._arrays = plan.problem.arrays
             self._problem = self.make(plan)
             self._next = -1
-            series = plan.problem.profiles.series
-            self._available = np.array([(g, "p_max") in series for g in self._arrays.generator.names])
+            known, names = plan.problem.profiles, self._arrays.generator.names
+            self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
         if plan.time != self._next:
             self._last = self._before = None
 

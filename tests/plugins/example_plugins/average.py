@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts import Forecast
 from opfmodel.forecasts.base import FORECAST_FIELDS, part
-from opfmodel.profiles.series import Profiles
 
 __all__ = ["Average"]
 
@@ -34,8 +34,8 @@ class Average(Forecast):
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """The mean, as often as there are stages."""
         expected = part(actual, time, stages)
-        for key, values in actual.series.items():
-            if key[1] in FORECAST_FIELDS:
+        for key, values in actual.items():
+            if key.field in FORECAST_FIELDS:
                 seen = values[max(time - self.window, 0) : time] if time else values[:1]
                 expected[key] = np.full(stages, seen.mean())
         return Profiles(expected)
