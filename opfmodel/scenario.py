@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
-from opfmodel.constraints import Limited
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
 from opfmodel.documents import Document, check_name, read_document, validated
@@ -39,11 +38,11 @@ from opfmodel.errors import (
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
 from opfmodel.memory import check_memory, run_bytes, series_bytes
-from opfmodel.model import Elastic
+from opfmodel.model import CustomConstraint, Elastic, Linear, PhysicalStage
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import End, MultiStage, PhysicalStage
+from opfmodel.plan import End, MultiStage
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
 from opfmodel.profiles.base import Workbook
 from opfmodel.profiles.series import check_finite, check_series
@@ -153,7 +152,7 @@ class Scenario:
     objective: Objective
     forecast: Forecast
     settings: _File
-    constraints: Mapping[str, Limited] = field(default_factory=dict)
+    constraints: Mapping[str, CustomConstraint] = field(default_factory=dict)
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property
@@ -191,8 +190,8 @@ class Scenario:
             options=options,
             verbose=verbose,
         )
-        for constraint, own in self.constraints.items():
-            problem.constrain(constraint, own.linear, at_least=own.at_least, at_most=own.at_most)
+        for name, own in self.constraints.items():
+            problem.constrain(name, own.state, at_least=own.at_least, at_most=own.at_most)
         return problem
 
     def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
@@ -582,31 +581,90 @@ def _sourced(book: Workbook) -> Iterator[None]:
         raise ProfileError(f"{book.source(error)}{error}") from error
 
 
-def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
+def _constraints(document: Document, settings: _File) -> dict[str, CustomConstraint]:
     made = {}
     steps = settings.time.steps + settings.controller.horizon - 1
     for name, values in settings.constraints.items():
         with _in_constraint(document, name):
-            made[name] = Limited.from_mapping(values, steps, document.path.parent)
+            made[name] = _constraint(name, values, steps, document.path.parent)
     return made
 
 
-def _check_constraints(document: Document, constraints: Mapping[str, Limited], problem: MultiStage) -> None:
+def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomConstraint:
+    """A linear constraint from plain values.
+
+    Parameters
+    ----------
+    values
+        ``terms``, and ``at_least``, ``at_most`` or both, or ``equal``: each a number, a list, or
+        ``{file: , column: }``.
+    steps
+        Number of values that a limit over time needs.
+    folder
+        Where relative file names start from.
+
+    Raises
+    ------
+    ConstraintError
+        What is wrong, with the key where it stands.
+    """
+    known = ("terms", "at_least", "at_most", "equal")
+    if not isinstance(values, Mapping):
+        raise ConstraintError(f"must be a mapping with {', '.join(known)}")
+    for key in values:
+        if key not in known:
+            raise ConstraintError(f"unknown key; {nearest(key, known)}", key)
+    terms = values.get("terms")
+    if not isinstance(terms, Mapping):
+        raise ConstraintError("must be a mapping from kind.quantity to factors", "terms")
+    limits = {key: _limit(values[key], key, steps, folder) for key in known[1:] if key in values}
+    if not limits:
+        raise ConstraintError("needs a limit: at_least, at_most or equal")
+    if "equal" in limits:
+        if len(limits) > 1:
+            raise ConstraintError("is an equation; leave out at_least and at_most", "equal")
+        limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
+    return CustomConstraint.of(name, Linear(terms), **limits)
+
+
+def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[float]:
+    if isinstance(value, Mapping):
+        if set(value) != {"file", "column"}:
+            raise ConstraintError("must be a number, a list, or {file: , column: }", key)
+        path, heading = folder / str(value["file"]), str(value["column"])
+        try:
+            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
+        except ProfileError as error:
+            raise ConstraintError(str(error), key) from error
+    numbers = []
+    for number in value if isinstance(value, list) else [value]:
+        if isinstance(number, bool) or not isinstance(number, int | float) or not bounded(number):
+            raise ConstraintError(f"{shown(number)}: must be a finite number, or a list of one per step", key)
+        numbers.append(float(number))
+    if not isinstance(value, list):
+        return numbers[0]
+    if len(numbers) < steps:
+        raise ConstraintError(f"has {len(numbers)} values; {steps} are needed, steps + horizon - 1", key)
+    return numbers[:steps]
+
+
+def _check_constraints(
+    document: Document, constraints: Mapping[str, CustomConstraint], problem: MultiStage
+) -> None:
     """Raise an error with the position of a term that is not in the network or not published."""
     if not constraints:
         return
-    probe = MultiStage(
-        problem.network, formulation=problem.formulation, profiles=problem.profiles, devices=problem.devices
-    )
-    stage: Any = PhysicalStage(probe.declare())
-    for name, own in constraints.items():
+    stage: Any = PhysicalStage(problem.declare(stages=1))
+    for name, constraint in constraints.items():
         with _in_constraint(document, name):
-            for key in own.linear.terms:
+            linear = constraint.state
+            assert isinstance(linear, Linear)
+            for key in linear.terms:
                 try:
-                    own.linear.term(stage, key)
+                    linear.term(stage, key)
                 except QuantityError as error:
                     raise ConstraintError(problem.explain(error), "terms", key) from error
-            own.linear(stage)
+            linear(stage)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ offers the same quantities as arrays, so that the text of a cost is compiled for
 evaluated on a trajectory without being written twice.
 """
 
+from opfmodel.model.constraint import CustomConstraint, Linear, PhysicalStage
 from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Shortage, Side, Slack, Soft
@@ -14,11 +15,14 @@ from opfmodel.model.stage import NumericStage, Quantities, Stage
 __all__ = [
     "Bound",
     "BoundSource",
+    "CustomConstraint",
     "Device",
     "Elastic",
     "Injection",
+    "Linear",
     "Model",
     "NumericStage",
+    "PhysicalStage",
     "Price",
     "Published",
     "Quantities",

@@ -1,9 +1,8 @@
 """Plans: a network, a horizon, a formulation and an objective compiled into one program, and its results."""
 
-from opfmodel.plan.constraints import PhysicalStage
 from opfmodel.plan.end import End
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.request import Initial
 from opfmodel.plan.result import Plan
 
-__all__ = ["End", "Initial", "MultiStage", "PhysicalStage", "Plan"]
+__all__ = ["End", "Initial", "MultiStage", "Plan"]

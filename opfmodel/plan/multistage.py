@@ -14,15 +14,14 @@ import numpy.typing as npt
 from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, PluginError, QuantityError
+from opfmodel.errors import ConstraintError, ModelError, PluginError, QuantityError
 from opfmodel.formulations.base import Formulation
 from opfmodel.memory import check_memory, problem_bytes
-from opfmodel.model import Device, Elastic, Model, Price, Published, Soft, Stage
+from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
 from opfmodel.network import PerUnitNetwork, per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
 from opfmodel.objectives.economic import Economic
-from opfmodel.plan.constraints import OwnConstraint, PhysicalStage, limit_of, rows_of
 from opfmodel.plan.end import End
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.request import Initial, Request
@@ -31,7 +30,7 @@ from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_out
 from opfmodel.profiles.series import check_series, fields_with_series, widest, window
 from opfmodel.text import name_fault
 from opfmodel.units import STEP_HOURS, scale
-from solvers import Constraint, Expression, Program, Session, SolverError, Start, Sum, prepare
+from solvers import Program, Session, SolverError, Start, prepare
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
 
@@ -137,7 +136,7 @@ class MultiStage:
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
-        self._constraints: dict[str, OwnConstraint] = {}
+        self._constraints: dict[str, CustomConstraint] = {}
         self._rationed = False
 
     @property
@@ -192,8 +191,10 @@ class MultiStage:
             raise ModelError(f"two constraints are named {name!r}")
         if fault := name_fault(name):
             raise ModelError(f"constraint {name!r}: the name {fault}")
-        limits = limit_of(name, "at_least", at_least, -np.inf), limit_of(name, "at_most", at_most, np.inf)
-        self._constraints[name] = OwnConstraint(constraint, *limits)
+        try:
+            self._constraints[name] = CustomConstraint.of(name, constraint, at_least, at_most)
+        except ConstraintError as error:
+            raise ModelError(f"constraint {name!r}: {error}") from error
 
     def elastic_twin(self, prices: Elastic | None = None) -> MultiStage:
         """The same problem with limits that give way at a price, to tell what it lacks.
@@ -281,12 +282,18 @@ class MultiStage:
         """What formulation and devices declared; compiled if need be."""
         return self._compiled[0]
 
-    def declare(self) -> Model:
-        """What formulation and devices declare, without objective and constraints; not kept."""
+    def declare(self, stages: int | None = None) -> Model:
+        """What formulation and devices declare, without objective and constraints; not kept.
+
+        Parameters
+        ----------
+        stages
+            Number of stages, if it is not the horizon.
+        """
         own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
             self.arrays.with_series({**widest(self.profiles, self.arrays), **own}),
-            self.horizon,
+            self.horizon if stages is None else stages,
             self.step,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
@@ -309,8 +316,8 @@ class MultiStage:
         model = self.declare()
         self._check_needs(model)
         self._minimize(model)
-        for name, own in self._constraints.items():
-            self._constrain(model, name, own)
+        for constraint in self._constraints.values():
+            self._constrain(model, constraint)
         for name, published in {**model.published, **model.reported}.items():
             model.build.output(name, published.values)
         for name, cost in zip(penalty_outputs(model), model.penalties, strict=True):
@@ -351,49 +358,13 @@ class MultiStage:
         if terminal is not None:
             build.minimize(terminal)
 
-    def _constrain(self, model: Model, name: str, own: OwnConstraint) -> None:
+    def _constrain(self, model: Model, constraint: CustomConstraint) -> None:
         try:
-            stated = own.state(PhysicalStage(model))
+            constraint.declare(model)
         except QuantityError as error:
-            raise ModelError(f"constraint {name!r}: {self.explain(error)}") from error
+            raise ModelError(f"constraint {constraint.name!r}: {self.explain(error)}") from error
         except (ModelError, SolverError) as error:
-            raise ModelError(f"constraint {name!r}: {error}") from error
-        if isinstance(stated, Expression | Sum) and own.limited:
-            stated = Constraint(stated, -np.inf, np.inf)  # every solve states the limits
-        elif not isinstance(stated, Constraint):
-            wanted = "a quantity or a total, to be limited" if own.limited else "a comparison of quantities"
-            raise ModelError(f"constraint {name!r} must return {wanted}, not {stated!r}")
-        elif own.limited:
-            raise ModelError(f"constraint {name!r} is a comparison already; leave out at_least and at_most")
-        if f"{name}_price" in model.prices:
-            raise ModelError(
-                f"constraint {name!r}: there is a price '{name}_price' already; take another name"
-            )
-        rows = model.build.constrain(rows_of(name), stated)
-        items, stages = rows.index.shape
-        entries, timed = np.arange(items), stages == self.horizon
-        soft = Soft(
-            "constraint",
-            entries,
-            "",
-            "is missed by {}",
-            "is exceeded by {}",
-            names=(name,) * items,
-            timed=timed,
-        )
-        limits = (own.lower, own.upper) if own.limited else (stated.lower, stated.upper)
-        model.soften("constraint", rows, soft, *limits)
-        if stages != self.horizon:  # of some stages only: no price by stage
-            if own.limited:
-                raise ModelError(
-                    f"constraint {name!r}: at_least and at_most are for all stages; write >= or <="
-                )
-            return
-        model.price(
-            "" if items == 1 else f"{name}_item", f"{name}_price",
-            lambda solution, _: -solution.dual(rows.name) / self.step,
-            "$/h", f"rise of the cost when the right-hand side of {name!r} rises by one unit",
-        )  # fmt: skip
+            raise ModelError(f"constraint {constraint.name!r}: {error}") from error
 
     # Solving -----------------------------------------------------------------------------
 
@@ -479,9 +450,9 @@ class MultiStage:
                 values = table.arrays[state.initial][:, 0] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
             numbers.end_with(state.name, end)
-        for name, own in self._constraints.items():
-            if own.limited:
-                numbers.limit(rows_of(name), *own.window(name, time, self.horizon))
+        for constraint in self._constraints.values():
+            if constraint.limited:
+                numbers.limit(constraint.rows, *constraint.window(time, self.horizon))
         if ceiling is not None:
             numbers.limit(CEILING, np.array([-np.inf]), np.array([ceiling]))
         instance = numbers.instance()

@@ -1,0 +1,286 @@
+"""Custom constraints: what they limit, the limits, and the rows that they become."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.components import name_pattern
+from opfmodel.errors import ConstraintError, ModelError, nearest
+from opfmodel.model.elastic import Soft
+from opfmodel.model.model import Model
+from opfmodel.model.stage import Stage
+from opfmodel.network import Index
+from opfmodel.text import shown
+from opfmodel.units import bounded, scale
+from solvers import Constraint, Expression, Sum, total
+
+__all__ = ["CustomConstraint", "Linear", "PhysicalStage"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CustomConstraint:
+    """A constraint of a user: a function of the stage, and limits that may change from step to step.
+
+    Attributes
+    ----------
+    state
+        Gives, from a stage in physical units, a comparison; or a quantity or total for the limits below.
+        :class:`Linear` is one such function.
+    at_least, at_most
+        Limits in physical units: a number, or one value per time step; infinite where there is none.
+    """
+
+    name: str
+    state: Callable[[Stage], Any]
+    at_least: Array
+    at_most: Array
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        state: Callable[[Stage], Any],
+        at_least: npt.ArrayLike | None = None,
+        at_most: npt.ArrayLike | None = None,
+    ) -> CustomConstraint:
+        """A constraint with its limits checked.
+
+        Raises
+        ------
+        ConstraintError
+            A limit is not a number or a vector of them, or the two cross; ``key`` names the limit.
+        """
+        lower, upper = _limit("at_least", at_least, -np.inf), _limit("at_most", at_most, np.inf)
+        steps = min((limit.size for limit in (lower, upper) if limit.ndim), default=1)
+        low, high = (
+            np.broadcast_to(limit[:steps] if limit.ndim else limit, steps) for limit in (lower, upper)
+        )
+        crossed = np.flatnonzero(low > high)
+        if crossed.size:
+            first = crossed[0]
+            raise ConstraintError(f"at_least = {low[first]:g} is above at_most = {high[first]:g}", "at_least")
+        return cls(name, state, lower, upper)
+
+    @property
+    def limited(self) -> bool:
+        """Whether limits were given beside the function."""
+        return bool(np.isfinite(self.at_least).any() or np.isfinite(self.at_most).any())
+
+    @property
+    def rows(self) -> str:
+        """Name of its rows, which no quantity of a formulation or device has."""
+        return f"constraint {self.name}"
+
+    def window(self, start: int, stages: int) -> tuple[Array, Array]:
+        """Limits of the stages from a step on.
+
+        Raises
+        ------
+        ModelError
+            A limit has too few values.
+        """
+        limits = []
+        for side, values in (("at_least", self.at_least), ("at_most", self.at_most)):
+            if values.ndim and len(values) < start + stages:
+                raise ModelError(
+                    f"constraint {self.name!r}: {side} has {len(values)} values; "
+                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                )
+            limits.append(values[start : start + stages] if values.ndim else np.full(stages, values))
+        return limits[0], limits[1]
+
+    def declare(self, model: Model) -> None:
+        """State the rows, let them give way in an elastic problem, and report their price.
+
+        Raises
+        ------
+        QuantityError
+            It uses a quantity that is not published.
+        ModelError, SolverError
+            It does not return what it must, or what it returns cannot be stated.
+        """
+        stated = self._stated(model)
+        rows = model.build.constrain(self.rows, stated)
+        items, stages = rows.index.shape
+        soft = Soft(
+            "constraint", np.arange(items), "", "is missed by {}", "is exceeded by {}",
+            names=(self.name,) * items, timed=stages == model.stages,
+        )  # fmt: skip
+        limits = (self.at_least, self.at_most) if self.limited else (stated.lower, stated.upper)
+        model.soften("constraint", rows, soft, *limits)
+        if stages == model.stages:
+            model.price(
+                "" if items == 1 else f"{self.name}_item", f"{self.name}_price",
+                lambda solution, _: -solution.dual(rows.name) / model.step,
+                "$/h", f"rise of the cost when the right-hand side of {self.name!r} rises by one unit",
+            )  # fmt: skip
+        elif self.limited:
+            raise ModelError("at_least and at_most are for all stages; write >= or <=")
+
+    def _stated(self, model: Model) -> Constraint:
+        """The comparison that the function makes, or one whose limits every solve states."""
+        stated = self.state(PhysicalStage(model))
+        if f"{self.name}_price" in model.prices:
+            raise ModelError(f"there is a price '{self.name}_price' already; take another name")
+        if isinstance(stated, Expression | Sum) and self.limited:
+            return Constraint(stated, -np.inf, np.inf)
+        if not isinstance(stated, Constraint):
+            wanted = "a quantity or a total, to be limited" if self.limited else "a comparison of quantities"
+            raise ModelError(f"must return {wanted}, not {stated!r}")
+        if self.limited:
+            raise ModelError("is a comparison already; leave out at_least and at_most")
+        return stated
+
+
+def _limit(side: str, given: npt.ArrayLike | None, absent: float) -> Array:
+    """A limit as a number or a vector over time steps."""
+    values = np.asarray(absent if given is None else given)
+    if values.ndim > 1 or values.dtype.kind not in "if" or np.isnan(values).any():
+        raise ConstraintError(f"{side} = {given!r}: must be a number or one number per time step", side)
+    return values.astype(float)
+
+
+class PhysicalStage:
+    """A model whose quantities are in physical units, for users' constraints."""
+
+    def __init__(self, model: Model) -> None:
+        self.network = model.network
+        self.step = model.step
+        self._model = model
+
+    def __getattr__(self, kind: str) -> Any:
+        if kind.startswith("_"):
+            raise AttributeError(kind)
+        if kind not in self.network.tables:
+            raise ModelError(f"there is no kind of component {kind!r}; {nearest(kind, self.network.tables)}")
+        return _PhysicalQuantities(self._model, kind)
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity is published."""
+        return self._model.has(name)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Sum of the costs of all devices, $/h."""
+        return self._model.operating_cost
+
+
+class _PhysicalQuantities:
+    def __init__(self, model: Model, kind: str) -> None:
+        self._model = model
+        self._kind = kind
+
+    def __contains__(self, name: str) -> bool:
+        return name in getattr(self._model, self._kind)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        value = getattr(getattr(self._model, self._kind), name)
+        table = self._model.network.tables[self._kind]
+        published = self._model.published.get(name)
+        unit = published.unit if published is not None else table.units.get(name, "")
+        return (
+            value
+            if name in table.arrays and table.arrays[name].dtype.kind != "f"
+            else value * scale(unit, table.base_mva)
+        )
+
+
+# Linear totals -------------------------------------------------------------------------------------
+
+
+class Linear:
+    r"""A weighted total of quantities and data, one value per stage, in physical units.
+
+    .. math::
+        y(k) = \sum_t f_t \sum_{i \in t} x_i(k)
+
+    Parameters
+    ----------
+    terms
+        Factors :math:`f_t` by what they multiply: ``kind.quantity`` for all components of a kind
+        (``generator.pg``), ``component.quantity`` for one (``coal.pg``), or a pattern with stars
+        (``gas*.pg``). Quantities are published ones and fields of the network (``p_max``, with
+        its time series). What is out of service counts as zero.
+
+    Examples
+    --------
+    The spinning reserve, to be limited from below::
+
+        problem.constrain("reserve", Linear({"generator.p_max": 1, "generator.pg": -1}), at_least=100)
+    """
+
+    def __init__(self, terms: Mapping[str, float]) -> None:
+        if not terms:
+            raise ConstraintError("needs at least one term, for instance generator.pg: 1", "terms")
+        for key, factor in terms.items():
+            if isinstance(factor, bool) or not isinstance(factor, int | float) or not bounded(factor):
+                raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
+            owner, dot, quantity = str(key).rpartition(".")
+            if not (owner and dot and quantity):
+                raise ConstraintError(
+                    "write kind.quantity (generator.pg) or component.quantity (coal.pg)", "terms", key
+                )
+        self.terms = dict(terms)
+
+    def __call__(self, stage: Stage) -> Sum:
+        """The total, from the quantities of a stage in physical units.
+
+        Raises
+        ------
+        ConstraintError
+            A term names nothing in the network, or a number that is infinite; or no term is decided.
+        QuantityError
+            A quantity is not published here.
+        """
+        result = sum((self.term(stage, key) for key in self.terms), start=0.0)
+        if not isinstance(result, Sum):
+            raise ConstraintError("no term is a quantity that is decided", "terms")
+        return result
+
+    def term(self, stage: Stage, key: str) -> Any:
+        """One term: a :class:`solvers.Sum`, or numbers if nothing in it is decided."""
+        owner, _, quantity = key.rpartition(".")
+        result: Any = 0.0
+        for kind, members in _select(stage, owner, quantity, key):
+            result = result + self.terms[key] * total(_values(stage, kind, quantity, members, key))
+        return result
+
+
+def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str, Index]]:
+    """Kinds and positions of the components that the first part of a term stands for."""
+    tables = stage.network.tables
+    if owner in tables and not any(owner in table.position for table in tables.values()):
+        return [(owner, np.arange(len(tables[owner])))]
+    pattern = name_pattern(owner)
+    members = {
+        kind: np.array([i for i, name in enumerate(table.names) if pattern.fullmatch(name)], dtype=np.intp)
+        for kind, table in tables.items()
+    }
+    found = [(kind, index) for kind, index in members.items() if index.size]
+    if not found and owner not in stage.network.left_out:
+        near = nearest(owner, [*tables, *(name for table in tables.values() for name in table.names)])
+        raise ConstraintError(f"there is no component and no kind {owner!r}; {near}", "terms", key)
+    having = [(kind, index) for kind, index in found if quantity in getattr(stage, kind)]
+    return having or found  # where none has the quantity, the first says so
+
+
+def _values(stage: Stage, kind: str, quantity: str, members: Index, key: str) -> Any:
+    """Values of a quantity of some components, decided or given."""
+    values = getattr(getattr(stage, kind), quantity)[members]
+    if isinstance(values, np.ndarray):
+        if values.dtype.kind != "f" or values.ndim != 2:
+            raise ConstraintError(f"{kind}.{quantity} is not a quantity", "terms", key)
+        endless = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if endless.size:
+            name = stage.network.tables[kind].names[members[endless[0]]]
+            raise ConstraintError(f"{name}.{quantity} has no limit; give it one", "terms", key)
+    return values
