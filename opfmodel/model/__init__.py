@@ -11,6 +11,7 @@ from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Shortage, Side, Slack, Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import NumericStage, Quantities, Stage
+from solvers import largest, total
 
 __all__ = [
     "Bound",
@@ -32,4 +33,6 @@ __all__ = [
     "Soft",
     "Stage",
     "State",
+    "largest",
+    "total",
 ]

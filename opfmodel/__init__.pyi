@@ -1,0 +1,58 @@
+# The public names and where they live, for type checkers and for __init__.py, which imports at first use.
+
+from .cases import (
+    read_network as read_network,
+    write_network as write_network,
+)
+from .components import (
+    Branch as Branch,
+    Bus as Bus,
+    Generator as Generator,
+    Load as Load,
+    Network as Network,
+    PiecewiseLinear as PiecewiseLinear,
+    Polynomial as Polynomial,
+    Shunt as Shunt,
+    Storage as Storage,
+)
+from .data.series import Profiles as Profiles
+from .errors import OpfmodelError as OpfmodelError
+from .forecasts import Forecast as Forecast
+from .model import (
+    Elastic as Elastic,
+    largest as largest,
+    total as total,
+)
+from .objectives.base import Objective as Objective
+from .objectives.economic import Economic as Economic
+from .objectives.linear_quadratic import LinearQuadratic as LinearQuadratic
+from .objectives.loss_minimisation import LossMinimisation as LossMinimisation
+from .objectives.setpoint_tracking import (
+    SetpointTracking as SetpointTracking,
+    Setpoints as Setpoints,
+)
+from .objectives.state_of_charge_tracking import StateOfChargeTracking as StateOfChargeTracking
+from .objectives.stored_energy_value import StoredEnergyValue as StoredEnergyValue
+from .objectives.voltage_deviation import VoltageDeviation as VoltageDeviation
+from .plan import (
+    End as End,
+    MultiStage as MultiStage,
+    Plan as Plan,
+)
+from .plan.single_stage import (
+    SingleStageSequence as SingleStageSequence,
+    single_stage_sequence as single_stage_sequence,
+)
+from .scenario import (
+    Scenario as Scenario,
+    load_scenario as load_scenario,
+)
+from .simulation import (
+    Controller as Controller,
+    NominalPlant as NominalPlant,
+    Plant as Plant,
+    PowerFlow as PowerFlow,
+    Redispatch as Redispatch,
+    Run as Run,
+    simulate as simulate,
+)
