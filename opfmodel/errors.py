@@ -21,11 +21,18 @@ __all__ = [
     "ScenarioError",
     "StudyError",
     "nearest",
+    "printable",
 ]
 
 
 class OpfmodelError(Exception):
-    """Base class: a mistake in the input, said in one sentence. The command line exits with 2."""
+    """Base class: a mistake in the input, in one sentence. The command line exits with 2.
+
+    A sentence may quote files and names; what a terminal would obey is written as an escape.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(printable(message))
 
 
 class ComponentError(OpfmodelError):
@@ -133,6 +140,13 @@ class ScenarioError(OpfmodelError):
 
 class StudyError(OpfmodelError):
     """A study cannot go on: its folder is in use, or its workers cannot be had."""
+
+
+def printable(text: str) -> str:
+    """A text with control characters written as escapes, line ends excepted."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
