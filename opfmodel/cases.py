@@ -89,7 +89,7 @@ def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
                     check_file(file, CaseError)
             # powerio refuses symbolic links; a user who names one means what it points to.
             module = powerio.parse(str(path.resolve()), format=format)
-    except (powerio.PowerIOError, OSError, UnicodeDecodeError) as error:
+    except (powerio.PowerIOError, OSError, UnicodeError) as error:
         raise CaseError(f"{path}: cannot be read as a network: {error}") from error
     diagnostics = list(module.diagnostics)
     if source is not None:
@@ -177,16 +177,16 @@ class _Reader:
         for record in self.case.loads:
             bus = record["bus"]
             load = Load(str(bus), p=record["p"], q=record["q"], in_service=record["in_service"])
-            self._add(f"load{bus}", load, "bus", self.bus_row[bus])
+            self._add(f"load{bus}", load, "bus", self.bus_row.get(bus))
         for record in self.case.shunts:
             bus = record["bus"]
             shunt = Shunt(str(bus), g=record["g"], b=record["b"], in_service=record["in_service"])
-            self._add(f"shunt{bus}", shunt, "bus", self.bus_row[bus])
+            self._add(f"shunt{bus}", shunt, "bus", self.bus_row.get(bus))
         for row, record in enumerate(_records(self.case, "storage")):
             self._storage(row, record)
         return self.network
 
-    def _add(self, name: str, component: Component, table: str, row: int) -> None:
+    def _add(self, name: str, component: Component, table: str, row: int | None) -> None:
         """Declare the component of a row of a table, numbering the second and later ones of a name."""
         number = self.numbers[name] = self.numbers.get(name, 0) + 1
         unique = name if number == 1 else f"{name}#{number}"
@@ -196,9 +196,11 @@ class _Reader:
             table = "gencost" if error.field == "cost" else table
             raise CaseError(f"{self._place(table, row)}: {error}") from error
 
-    def _place(self, table: str, row: int) -> str:
+    def _place(self, table: str, row: int | None) -> str:
         """The file, and the line where it is known."""
-        return str(self.path) if self.source is None else self.source.place(table, row)
+        if self.source is None or row is None:
+            return str(self.path)
+        return self.source.place(table, row)
 
     def _buses(self) -> None:
         for row, record in enumerate(self.case.buses):

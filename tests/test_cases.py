@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
@@ -201,6 +202,15 @@ def test_a_name_for_the_terminal_is_refused_and_shown_escaped(tmp_path: Path) ->
     path = tmp_path / "red\x1b[31m.m"
     path.write_text(case5())
     with pytest.raises(CaseError, match="must be printable") as caught:
+        om.read_network(path)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("suffix", [".m", ".raw"])
+def test_a_name_that_is_not_utf8_is_an_error(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
+    path.write_text(case5())
+    with pytest.raises(CaseError) as caught:
         om.read_network(path)
     assert str(caught.value).isprintable()
 
