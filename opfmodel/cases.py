@@ -2,20 +2,22 @@
 
 Reading covers MATPOWER ``.m``, PSS/E ``.raw``, pandapower JSON, PyPSA CSV folders and the other
 formats of powerio. What the reader finds remarkable reaches the user as :class:`CaseWarning`;
-equipment that opfmodel does not model is an error, never silently left out.
+equipment in service that opfmodel does not model is an error, never silently left out.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from opfmodel.components import (
     Branch,
     Bus,
+    Component,
     Cost,
     Generator,
     Load,
@@ -25,7 +27,9 @@ from opfmodel.components import (
     Shunt,
     Storage,
 )
-from opfmodel.errors import CaseError, CaseWarning, OpfmodelError
+from opfmodel.data.files import check_file, is_folder
+from opfmodel.errors import CaseError, CaseWarning, ComponentError, OpfmodelError, visible
+from opfmodel.matpower import CaseFile, read_case
 
 __all__ = ["read_network", "write_network"]
 
@@ -49,28 +53,67 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     Raises
     ------
     CaseError
-        The file is missing, damaged, of an unknown format, has generators without cost and no
-        ``default_cost`` is given, or holds equipment that opfmodel does not model.
-    """
-    import powerio
+        The file is missing, not a regular one, damaged, of an unknown format, has generators without
+        cost and no ``default_cost`` is given, or holds equipment in service that opfmodel does not
+        model or data that break a rule.
 
+    Notes
+    -----
+    Equipment out of service is kept as it is (:meth:`opfmodel.components.Component.check_declared`),
+    unless its cost cannot be stated, when it is left out with a warning. The tables of MATPOWER files
+    are checked by :mod:`opfmodel.matpower` first.
+    """
     path = Path(path)
-    if not path.exists():
-        raise CaseError(f"{path}: there is no such file or folder")
-    try:
-        module = powerio.parse(str(path), format=format)
-    except (powerio.PowerIOError, OSError, UnicodeDecodeError) as error:
-        raise CaseError(f"{path}: cannot be read as a network: {error}") from error
-    for diagnostic in module.diagnostics:
-        _warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
+    module, source = _parse(path, format)
     case = _balanced(path, module.value)
-    name = path.stem if case.name in ("", "case") else str(case.name)
     try:
-        return _Reader(path, case, Network(name, case.base_mva), default_cost).read()
+        name = path.stem if case.name in ("", "case") else str(case.name)
+        return _Reader(path, case, Network(name, case.base_mva), default_cost, source).read()
     except CaseError:
         raise
     except OpfmodelError as error:
         raise CaseError(f"{path}: {error}") from error
+
+
+def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
+    """What powerio makes of a file; its warnings and ours are given."""
+    import powerio
+
+    source = read_case(path) if _is_matpower(path, format) else None
+    try:
+        if source is not None:
+            module = powerio.parse(source.text.encode(), format="matpower", name=path.name)
+        else:
+            for file in sorted(path.iterdir()) if is_folder(path) else [path]:
+                if not is_folder(file):
+                    check_file(file, CaseError)
+            # powerio refuses symbolic links; a user who names one means what it points to.
+            module = powerio.parse(str(path.resolve()), format=format)
+    except (powerio.PowerIOError, OSError, UnicodeError) as error:
+        raise CaseError(f"{path}: cannot be read as a network: {error}") from error
+    diagnostics = list(module.diagnostics)
+    if source is not None:
+        if source.changes and any(d.code == _NOT_EVALUATED for d in diagnostics):
+            # powerio evaluates all of them or none; unlike it we know the lines.
+            source.remarks.append(source.unevaluated(source.changes))
+            diagnostics = [d for d in diagnostics if d.code != _NOT_EVALUATED]
+        for remark in source.remarks:
+            _warn(remark)
+    for diagnostic in diagnostics:
+        _warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
+    return module, source
+
+
+_NOT_EVALUATED = "READ.MATPOWER.INDEXED_ASSIGNMENT"
+
+
+def _is_matpower(path: Path, format: str | None) -> bool:
+    import powerio
+
+    if format is None:
+        return path.suffix.lower() == ".m"
+    known = powerio.resolve_format(format)
+    return known is not None and known.token == "matpower"
 
 
 def _balanced(path: Path, value: Any) -> Any:
@@ -88,11 +131,12 @@ def _balanced(path: Path, value: Any) -> Any:
         value = value.merge_buses(closed_switches=True).network
         _warn(f"{path}: buses joined by closed switches were merged")
     unmodelled = {
-        "HVDC lines": [h for h in value.hvdc if h["in_service"]],
-        "static var compensators": [s for s in value.static_var_compensators if s["in_service"]],
-        "three-winding transformers": [t for t in value.transformers_3w if t["in_service"]],
+        "hvdc": "HVDC lines",
+        "static_var_compensators": "static var compensators",
+        "transformers_3w": "three-winding transformers",
     }
-    for what, members in unmodelled.items():
+    for kind, what in unmodelled.items():
+        members = [record for record in _records(value, kind) if record["in_service"]]
         if members:
             raise CaseError(
                 f"{path}: {len(members)} {what} in service, which opfmodel does not model; "
@@ -101,14 +145,29 @@ def _balanced(path: Path, value: Any) -> Any:
     return value
 
 
+def _records(case: Any, kind: str) -> Sequence[Mapping[str, Any]]:
+    """The records of a kind that is seldom there: powerio walks through the case even for none."""
+    return getattr(case, kind) if getattr(case, f"n_{kind}") else ()
+
+
 class _Reader:
     """Turns powerio's records into components."""
 
-    def __init__(self, path: Path, case: Any, network: Network, default_cost: Cost | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        case: Any,
+        network: Network,
+        default_cost: Cost | None,
+        source: CaseFile | None,
+    ) -> None:
         self.path = path
+        self.source = source
         self.case = case
         self.network = network
         self.default_cost = default_cost
+        self.numbers: dict[str, int] = {}  # how many components ask for a name
+        self.bus_row = {record["id"]: row for row, record in enumerate(case.buses)}
 
     def read(self) -> Network:
         """Declare everything."""
@@ -116,25 +175,35 @@ class _Reader:
         self._branches()
         self._generators()
         for record in self.case.loads:
-            load = Load(str(record["bus"]), p=record["p"], q=record["q"], in_service=record["in_service"])
-            self._add(f"load{record['bus']}", load)
+            bus = record["bus"]
+            load = Load(str(bus), p=record["p"], q=record["q"], in_service=record["in_service"])
+            self._add(f"load{bus}", load, "bus", self.bus_row.get(bus))
         for record in self.case.shunts:
-            shunt = Shunt(str(record["bus"]), g=record["g"], b=record["b"], in_service=record["in_service"])
-            self._add(f"shunt{record['bus']}", shunt)
-        for record in self.case.storage:
-            self._storage(record)
+            bus = record["bus"]
+            shunt = Shunt(str(bus), g=record["g"], b=record["b"], in_service=record["in_service"])
+            self._add(f"shunt{bus}", shunt, "bus", self.bus_row.get(bus))
+        for row, record in enumerate(_records(self.case, "storage")):
+            self._storage(row, record)
         return self.network
 
-    def _add(self, name: str, component: Any) -> None:
-        """Declare a component, numbering the second and later ones of a name."""
-        unique, number = name, 1
-        while unique in self.network:
-            number += 1
-            unique = f"{name}#{number}"
-        self.network.add(unique, component)
+    def _add(self, name: str, component: Component, table: str, row: int | None) -> None:
+        """Declare the component of a row of a table, numbering the second and later ones of a name."""
+        number = self.numbers[name] = self.numbers.get(name, 0) + 1
+        unique = name if number == 1 else f"{name}#{number}"
+        try:
+            self.network.add(unique, component)
+        except ComponentError as error:
+            table = "gencost" if error.field == "cost" else table
+            raise CaseError(f"{self._place(table, row)}: {error}") from error
+
+    def _place(self, table: str, row: int | None) -> str:
+        """The file, and the line where it is known."""
+        if self.source is None or row is None:
+            return str(self.path)
+        return self.source.place(table, row)
 
     def _buses(self) -> None:
-        for record in self.case.buses:
+        for row, record in enumerate(self.case.buses):
             self._add(
                 str(record["id"]),
                 Bus(
@@ -143,10 +212,12 @@ class _Reader:
                     reference=record["kind"] == "REF",
                     in_service=record["kind"] != "ISOLATED",
                 ),
+                "bus",
+                row,
             )
 
     def _branches(self) -> None:
-        for record in self.case.branches:
+        for row, record in enumerate(self.case.branches):
             charging = record["b_fr"] + record["b_to"]
             even = record["b_fr"] == record["b_to"]
             self._add(
@@ -167,52 +238,67 @@ class _Reader:
                     angle=_angles(record["angmin"], record["angmax"]),
                     in_service=record["in_service"],
                 ),
+                "branch",
+                row,
             )
 
     def _generators(self) -> None:
         without = []
-        for number, record in enumerate(self.case.generators, start=1):
-            cost = self.default_cost if record["cost"] is None else self._cost(number, record["cost"])
+        for row, record in enumerate(self.case.generators):
+            name, in_service = f"gen{row + 1}", bool(record["in_service"])
+            try:
+                cost = self.default_cost if record["cost"] is None else self._cost(name, row, record["cost"])
+            except CaseError as error:
+                if in_service:
+                    raise
+                _warn(f"{error}; the generator is out of service and left out")
+                continue
             if cost is None:
-                without.append(f"gen{number}")
+                without.append(name)
                 continue
             ramp_30 = record["caps"][8] if len(record["caps"]) > 8 else None
             self._add(
-                f"gen{number}",
+                name,
                 Generator(
                     str(record["bus"]),
                     p=(record["pmin"], record["pmax"]),
                     q=(record["qmin"], record["qmax"]),
                     ramp=2.0 * ramp_30 if ramp_30 else None,
                     cost=cost,
-                    in_service=record["in_service"],
+                    in_service=in_service,
                 ),
+                "gen",
+                row,
             )
         if without:
-            named = ", ".join(without[:5]) + (f" and {len(without) - 5} more" if len(without) > 5 else "")
             raise CaseError(
-                f"{self.path}: no cost data for {named}; give a cost for generators that have none "
+                f"{self.path}: no cost data for {_listing(without)}; give a cost for generators without "
                 "(default_cost=Polynomial(0, 30, 0) in Python, --default-cost 30 on the command line, "
                 "network.default_cost in a scenario)"
             )
 
-    def _cost(self, number: int, record: Mapping[str, Any]) -> Cost:
-        coefficients = [float(c) for c in record["coeffs"]]
-        if record["model"] == 1:
-            values = coefficients[: 2 * int(record["ncost"])]
+    def _cost(self, name: str, row: int, record: Mapping[str, Any]) -> Cost:
+        """The cost of a generator; an error unless it is one of the two forms, and complete."""
+        model, width = record["model"], 2 if record["model"] == 1 else 1
+        values = [float(c) for c in record["coeffs"]][: width * int(record["ncost"])]
+        if model not in (1, 2) or not values or len(values) != width * int(record["ncost"]):
+            raise CaseError(
+                f"{self._place('gencost', row)}: {name}: cost: model {model} with {record['ncost']} terms "
+                f"and {len(values)} numbers; a polynomial or piecewise-linear cost is needed"
+            )
+        if model == 1:
             return PiecewiseLinear(tuple(zip(values[0::2], values[1::2], strict=True)))
-        values = coefficients[: int(record["ncost"])]
         while len(values) > 3 and values[0] == 0:
             values = values[1:]
         if len(values) > 3:
             raise CaseError(
-                f"{self.path}: gen{number}: cost: a polynomial of degree {len(values) - 1}; "
+                f"{self._place('gencost', row)}: {name}: cost: a polynomial of degree {len(values) - 1}; "
                 "degrees up to 2 and convex piecewise-linear costs are accepted"
             )
         c2, c1, c0 = [0.0] * (3 - len(values)) + values
         return Polynomial(c2, c1, c0)
 
-    def _storage(self, record: Mapping[str, Any]) -> None:
+    def _storage(self, row: int, record: Mapping[str, Any]) -> None:
         number = {
             key: float(value)
             for key, value in record.items()
@@ -238,6 +324,8 @@ class _Reader:
                 rating=rating if rating > 0 else None,
                 in_service=bool(record["in_service"]),
             ),
+            "storage",
+            row,
         )
 
 
@@ -267,10 +355,13 @@ def write_network(network: Network, path: str | Path) -> Path:
     if path.suffix != ".m":
         raise CaseError(f"{path}: a MATPOWER case ends in .m")
     names = network.of(Bus)
-    plain = all(name.isdigit() and int(name) > 0 for name in names)
+    plain = all(re.fullmatch("[1-9][0-9]{0,14}", name) for name in names)
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
     if not plain:
         _warn(f"{path}: buses are numbered from 1 in the order of their declaration")
+    idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
+    if idle:
+        _warn(f"{path}: {_listing(idle)}: MATPOWER has no status of loads and shunts; they are left out")
     tables = {
         "version": 2,
         "baseMVA": network.base_mva,
@@ -286,8 +377,8 @@ def write_network(network: Network, path: str | Path) -> Path:
     text = str(emitted.text).replace("mpc = from_ppc", f"mpc = {_identifier(path.stem)}")
     try:
         path.write_text(text + _storage_table(path, network, ids), encoding="utf-8")
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be written: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        raise CaseError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
     return path
 
 
@@ -354,7 +445,7 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
             _warn(f"{path}: {name}: standing_loss and energy_min are left out")
         ends = [v if isinstance(v, tuple) else (-v, v) for v in (storage.power, storage.q)]
         (p_min, p_max), (q_min, q_max) = ends
-        if p_min > 0 or p_max < 0:
+        if storage.in_service and (p_min > 0 or p_max < 0):
             raise CaseError(f"{path}: {name}: power = {storage.power}: MATPOWER needs a range around 0")
         rating = 0.0 if storage.rating is None else storage.rating
         values = [
@@ -378,5 +469,9 @@ def _identifier(name: str) -> str:
     return cleaned if cleaned[:1].isalpha() else f"case_{cleaned}"
 
 
+def _listing(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
 def _warn(message: str) -> None:
-    warnings.warn(message, CaseWarning, stacklevel=3)
+    warnings.warn(visible(message), CaseWarning, stacklevel=3)

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from opfmodel.errors import OpfmodelError
-from opfmodel.text import visible
+from opfmodel.errors import OpfmodelError, visible
 
 if TYPE_CHECKING:
     from rich.text import Text

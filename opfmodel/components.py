@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -26,8 +26,7 @@ from typing import Any, ClassVar, NamedTuple, Self, TypeGuard, TypeVar
 
 import numpy as np
 
-from opfmodel.errors import ComponentError, NetworkError, ProfileError, nearest
-from opfmodel.text import name_fault
+from opfmodel.errors import ComponentError, NetworkError, ProfileError, name_fault, nearest
 from opfmodel.units import BASE_MVA, LARGEST, bounded
 
 __all__ = [
@@ -130,17 +129,23 @@ def flag(default: bool) -> Any:
 
 
 _FINITE = f"must be a finite number of at most {LARGEST:g}"
+# Made once: they are asked for some ten times for every component of a network file.
+_NUMBERS = (float, int, np.integer, np.floating)
+_FLAGS = (bool, np.bool_)
 
 
 def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return isinstance(value, _NUMBERS) and not isinstance(value, bool)
 
 
-def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
-    if value is None and rules["optional"]:
-        return
-    if not _is_number(value):
+def _type_of_number(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    if not (_is_number(value) or (value is None and rules["optional"])):
         raise ComponentError(name, key, value, f"must be a number in {_unit(rules)}")
+
+
+def _rules_of_number(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
+    if value is None:
+        return
     if not bounded(value) and (rules["finite"] or abs(value) != INF):
         raise ComponentError(name, key, value, _FINITE)
     if value < rules["at_least"]:
@@ -151,8 +156,17 @@ def _check_number(name: str, key: str, value: object, rules: Mapping[str, Any]) 
         raise ComponentError(name, key, value, f"must be at most {rules['at_most']:g}")
 
 
-def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+def _type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
     if rules["symmetric"] and _is_number(value):
+        return
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
+    if not all(_is_number(end) for end in value):
+        raise ComponentError(name, key, value, f"both ends must be numbers in {_unit(rules)}")
+
+
+def _rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
+    if _is_number(value):
         if not (bounded(value) or abs(value) == INF):
             raise ComponentError(name, key, value, _FINITE)
         if value < 0:
@@ -160,17 +174,10 @@ def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) ->
                 name, key, value, "a single number stands for (-a, a); it must be at least 0"
             )
         return
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
     low, high = value
-    for end in (low, high):
-        if not _is_number(end) or not (bounded(end) or abs(end) == INF):
-            raise ComponentError(
-                name,
-                key,
-                value,
-                f"both ends must be numbers in {_unit(rules)} of at most {LARGEST:g}, or infinite",
-            )
+    if not all(bounded(end) or abs(end) == INF for end in (low, high)):
+        rule = f"both ends must be numbers in {_unit(rules)} of at most {LARGEST:g}, or infinite"
+        raise ComponentError(name, key, value, rule)
     if low > high:
         raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
     if low == INF or high == -INF:
@@ -179,6 +186,47 @@ def _check_span(name: str, key: str, value: object, rules: Mapping[str, Any]) ->
         )
     if low < rules["at_least"]:
         raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")
+
+
+def _type_of_flag(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    if not isinstance(value, _FLAGS):
+        raise ComponentError(name, key, value, "must be true or false")
+
+
+def _type_of_bus(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    if not (isinstance(value, str) and value):
+        raise ComponentError(name, key, value, "must be the name of a bus")
+
+
+def _type_of_cost(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    if not isinstance(value, Cost):
+        raise ComponentError(
+            name,
+            key,
+            value,
+            "must be a Polynomial or PiecewiseLinear; in a file {c2: , c1: , c0: } in $/MW²h, "
+            "$/MWh, $/h or {points: [[MW, $/h], ...]}",
+        )
+    value.check_types(name, key)
+
+
+def _rules_of_cost(name: str, key: str, value: Cost, _: Mapping[str, Any]) -> None:
+    value.check(name, key)
+
+
+_Check = Callable[[str, str, Any, Mapping[str, Any]], None]
+_TYPES: Mapping[str, _Check] = {
+    "number": _type_of_number,
+    "span": _type_of_span,
+    "flag": _type_of_flag,
+    "bus": _type_of_bus,
+    "cost": _type_of_cost,
+}
+_RULES: Mapping[str, _Check] = {
+    "number": _rules_of_number,
+    "span": _rules_of_span,
+    "cost": _rules_of_cost,
+}
 
 
 def _unit(rules: Mapping[str, Any]) -> str:
@@ -190,6 +238,10 @@ def _unit(rules: Mapping[str, Any]) -> str:
 
 class Cost:
     """Cost of producing active power, in $/h; convex."""
+
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` if this does not consist of numbers."""
+        raise NotImplementedError
 
     def check(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` if this is not a convex cost."""
@@ -210,13 +262,16 @@ class Polynomial(Cost):
     c1: float = 0.0
     c0: float = 0.0
 
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless the coefficients are numbers."""
+        if not all(_is_number(c) for c in (self.c2, self.c1, self.c0)):
+            raise ComponentError(name, key, self, "the coefficients must be finite numbers")
+
     def check(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless the coefficients are finite and ``c2 >= 0``."""
-        for coefficient in (self.c2, self.c1, self.c0):
-            if not _is_number(coefficient) or not bounded(coefficient):
-                raise ComponentError(
-                    name, key, self, f"the coefficients must be finite numbers of at most {LARGEST:g}"
-                )
+        if not all(map(bounded, (self.c2, self.c1, self.c0))):
+            rule = f"the coefficients must be finite numbers of at most {LARGEST:g}"
+            raise ComponentError(name, key, self, rule)
         if self.c2 < 0:
             raise ComponentError(name, key, self, "must be convex: c2 must be at least 0")
 
@@ -250,12 +305,18 @@ class PiecewiseLinear(Cost):
                 lines.append((slope, c - slope * p))
         return lines
 
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless every point is a pair of numbers."""
+        if any(len(point) != 2 for point in self.points):
+            raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
+        if not all(_is_number(v) for point in self.points for v in point):
+            raise ComponentError(name, key, self, "the points must be finite numbers")
+
     def check(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless there are two points, in order, and the cost is convex."""
-        values = [v for point in self.points for v in point]
-        if len(self.points) < 2 or any(len(point) != 2 for point in self.points):
+        if len(self.points) < 2:
             raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
-        if not all(_is_number(v) and bounded(v) for v in values):
+        if not all(bounded(v) for point in self.points for v in point):
             raise ComponentError(name, key, self, f"the points must be finite numbers of at most {LARGEST:g}")
         if any(a[0] >= b[0] for a, b in pairwise(self.points)):
             raise ComponentError(name, key, self, "the points must have increasing MW")
@@ -311,29 +372,40 @@ class Component:
                 raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, cls.fields())}")
         return super().__new__(cls)
 
+    def check_types(self, name: str) -> None:
+        """Raise :class:`ComponentError` unless every field is of its type.
+
+        A number is a number (NaN and infinity too), or None where the field is optional; a span is a
+        pair of numbers, a flag true or false, a bus the name of one, a cost a :class:`Cost` made of
+        numbers. So much holds whether the component is in service or not: it is what arrays, files
+        and later changes of the component are made of.
+        """
+        for key, metadata, check_type, _ in self._checks():
+            if check_type is not None:
+                check_type(name, key, getattr(self, key), metadata)
+
     def check(self, name: str) -> None:
-        """Raise :class:`ComponentError` if a field breaks its rule. Subclasses add rules of their own."""
-        for item in self.fields().values():
-            value = getattr(self, item.name)
-            form = item.metadata["form"]
-            if form == "number":
-                _check_number(name, item.name, value, item.metadata)
-            elif form == "span":
-                _check_span(name, item.name, value, item.metadata)
-            elif form == "flag" and not isinstance(value, bool | np.bool_):
-                raise ComponentError(name, item.name, value, "must be true or false")
-            elif form == "bus" and not (isinstance(value, str) and value):
-                raise ComponentError(name, item.name, value, "must be the name of a bus")
-            elif form == "cost":
-                if not isinstance(value, Cost):
-                    raise ComponentError(
-                        name,
-                        item.name,
-                        value,
-                        "must be a Polynomial or PiecewiseLinear; in a file {c2: , c1: , c0: } in $/MW²h, "
-                        "$/MWh, $/h or {points: [[MW, $/h], ...]}",
-                    )
-                value.check(name, item.name)
+        """Raise :class:`ComponentError` unless all holds that a component in service must keep.
+
+        The types, and the rules of each field. Subclasses add rules of their own, after the call of
+        this method.
+        """
+        self.check_types(name)
+        for key, metadata, _, check_rules in self._checks():
+            if check_rules is not None:
+                check_rules(name, key, getattr(self, key), metadata)
+
+    def check_declared(self, name: str) -> None:
+        """Raise :class:`ComponentError` unless a network can hold the component as it is.
+
+        In service it must keep every rule (:meth:`check`). Out of service its types alone must be
+        right (:meth:`check_types`): nothing is computed from it, and data of units long gone, such
+        as a minimum above the maximum, are kept as they are until it is put in service.
+        """
+        if isinstance(self.in_service, _FLAGS) and not self.in_service:
+            self.check_types(name)
+        else:
+            self.check(name)
 
     def resolved(self) -> Self:
         """The component with defaults that depend on other fields filled in."""
@@ -344,6 +416,13 @@ class Component:
     def fields(cls) -> Mapping[str, Field[Any]]:
         """The fields by name."""
         return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    @cache
+    def _checks(cls) -> tuple[tuple[str, Mapping[str, Any], _Check | None, _Check | None], ...]:
+        """Key, metadata and checks of each field, of its type and of its rules."""
+        forms = [(key, item.metadata, item.metadata["form"]) for key, item in cls.fields().items()]
+        return tuple((key, metadata, _TYPES.get(form), _RULES.get(form)) for key, metadata, form in forms)
 
     @classmethod
     @cache
@@ -430,7 +509,8 @@ class Component:
         Raises
         ------
         ComponentError
-            An unknown field, a missing field or a value that breaks its rule.
+            An unknown field, a missing field or, see :meth:`check_declared`, a value that breaks its
+            rule.
         """
         known = cls.fields()
         for key in values:
@@ -443,7 +523,7 @@ class Component:
                 raise ComponentError(name, key, None, f"a {cls.kind} needs this field")
         converted = {key: _plain(known[key], value) for key, value in values.items()}
         component = cls(**converted)
-        component.check(name)
+        component.check_declared(name)
         return component
 
 
@@ -748,26 +828,31 @@ class Network:
         NetworkError
             The name is taken, or has characters that cannot be seen.
         ComponentError
-            A field of the component breaks its rule.
+            A field of the component breaks its rule; of a component out of service only the types
+            of fields are checked, see :meth:`Component.check_declared`.
         """
         if not isinstance(component, Component):
             raise NetworkError(
                 f"network {self.name!r}: {name} = {component!r} is not a component (Bus, Branch, ...)"
             )
         name = str(name)
+        if fault := name_fault(name):
+            raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
         if name in self._components:
             raise NetworkError(
                 f"network {self.name!r}: the name {name!r} is taken by a {self._components[name].kind}; "
                 "names must be unique"
             )
-        if fault := name_fault(name):
-            raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
-        component.check(name)
+        component.check_declared(name)
         self._components[name] = component
         return component
 
     def update(self, name: str, **changes: Any) -> Component:
-        """Replace fields of a declared component: ``grid.update("coal", ramp=30)``."""
+        """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
+
+        Rules are checked as by :meth:`add`, so that a component put in service,
+        ``grid.update("coal", in_service=True)``, must keep all of them from then on.
+        """
         old = self[name]
         for key, value in changes.items():
             if key not in old.fields():
@@ -775,7 +860,7 @@ class Network:
                     name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}"
                 )
         new = replace(old, **{k: _plain(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
-        new.check(name)
+        new.check_declared(name)
         self._components[name] = new
         return new
 

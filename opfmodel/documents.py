@@ -11,8 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
-from opfmodel.errors import ScenarioError, nearest
-from opfmodel.text import name_fault, visible
+from opfmodel.errors import ScenarioError, name_fault, nearest, visible
 
 __all__ = ["Document", "check_name", "read_document", "validated"]
 

@@ -1,8 +1,9 @@
-"""The errors and warnings that opfmodel raises on purpose."""
+"""The errors and warnings that opfmodel raises on purpose, and how their messages are written."""
 
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 
 __all__ = [
@@ -21,12 +22,25 @@ __all__ = [
     "ScenarioError",
     "SizeError",
     "StudyError",
+    "name_fault",
     "nearest",
+    "shown",
+    "visible",
 ]
+
+# control and format characters, lone surrogates, line and paragraph separators
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_LONGEST = 200
 
 
 class OpfmodelError(Exception):
-    """Base class: a mistake in the input, said in one sentence. The command line exits with 2."""
+    """Base class: a mistake in the input, in one sentence. The command line exits with 2.
+
+    A sentence may quote files and names; what a terminal would obey is written as an escape.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(visible(message))
 
 
 class ComponentError(OpfmodelError):
@@ -150,3 +164,41 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if close:
         return "did you mean " + " or ".join(repr(n) for n in close) + "?"
     return "known are: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
+
+
+def visible(text: str) -> str:
+    r"""The text with escapes, as ``repr`` writes them, for whatever cannot be printed.
+
+    Everything that the command line prints passes here, for names and values come from files.
+
+    Examples
+    --------
+    >>> print(visible("a\x1b[31mb"))
+    a\x1b[31mb
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def name_fault(name: str) -> str:
+    r"""What is wrong with a name: a character that cannot be seen; empty for a name that can be read.
+
+    Examples
+    --------
+    >>> name_fault("a\tb")
+    "has the character '\\t'; names have visible characters only"
+    >>> name_fault("Würzburg 2")
+    ''
+    """
+    if not name.isprintable():
+        for character in name:
+            if unicodedata.category(character) in _UNSEEN:
+                return f"has the character {character!a}; names have visible characters only"
+    return ""
+
+
+def shown(value: object) -> str:
+    """A value as messages show it: its ``repr``, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

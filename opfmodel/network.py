@@ -6,7 +6,7 @@ and lays out every kind of component as a :class:`Table` of arrays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -90,7 +90,7 @@ class PerUnitNetwork:
     reference
         Position of the reference bus of each island.
     notes
-        What was left out or chosen, in words.
+        What was left out or chosen, in words; also which components out of service break a rule.
     left_out
         Names of the components that are out of service or at a bus that is.
     """
@@ -200,6 +200,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
     dropped = [n for n in network if n not in kept and n not in every_bus]
     if dropped:
         notes.append(f"out of service, left out: {_listing(dropped)}")
+    notes.extend(_broken_rules(network))
     graph = nx.Graph()
     graph.add_nodes_from(buses)
     graph.add_edges_from(c.buses for c in kept.values() if isinstance(c, components.Branch))
@@ -252,6 +253,20 @@ def _absurd_base(network: Network) -> list[str]:
         f"base_mva = {network.base_mva:g} for a system of {network.capacity_mva:g} MW: "
         "are the impedances of its branches per unit on that base?"
     ]
+
+
+def _broken_rules(network: Network) -> Iterator[str]:
+    """A note on the components out of service that cannot be put in service as they are."""
+    broken: dict[str, ComponentError] = {}
+    for name in network:
+        if not network[name].in_service:
+            try:
+                network[name].check(name)
+            except ComponentError as error:
+                broken[name] = error
+    if broken:
+        first = next(iter(broken.values()))
+        yield f"out of service with data that break a rule: {_listing(list(broken))}; {first}"
 
 
 def _check_buses(network: Network) -> None:

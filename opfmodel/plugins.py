@@ -10,8 +10,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_type_hints
 
-from opfmodel.errors import PluginError, nearest
-from opfmodel.text import shown
+from opfmodel.errors import PluginError, nearest, shown
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 

@@ -33,7 +33,9 @@ from opfmodel.errors import (
     ProfileError,
     QuantityError,
     ScenarioError,
+    name_fault,
     nearest,
+    shown,
 )
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
@@ -47,7 +49,6 @@ from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequenc
 from opfmodel.profiles.base import Workbook
 from opfmodel.profiles.series import check_finite, check_series
 from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
-from opfmodel.text import name_fault, shown
 from opfmodel.units import LARGEST, STEP_HOURS, bounded
 from solvers import Kind, SolverError, find
 

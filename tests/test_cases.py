@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -112,6 +115,16 @@ def case5(**replace: str) -> str:
     return text
 
 
+def case5_cost(first: str) -> str:
+    """The case with another first row of costs; the other rows are filled up to its length."""
+    text = (DATA / "matpower" / "case5.m").read_text()
+    head, rest = text.split("mpc.gencost = [\n")
+    rows = [row.rstrip(";").split() for row in rest.split("\n];")[0].split("\n")]
+    width = len(first.split())
+    table = [first, *(" ".join(row + ["0"] * (width - len(row))) for row in rows[1:])]
+    return head + "mpc.gencost = [\n" + ";\n".join(table) + ";\n];\n"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -120,21 +133,17 @@ def case5(**replace: str) -> str:
         ("unknown.xyz", "hello", "cannot infer"),
         ("empty.m", "", "cannot be read as a network"),
         ("no_cost.m", case5().split("%%-----  OPF Data")[0], "no cost data for gen1"),
+        ("cubic.m", case5_cost("2 0 0 4 1 0 14 0"), "cubic.m:57: gen1: cost: a polynomial of degree 3"),
+        ("concave.m", case5_cost("2 0 0 3 -1 14 0"), "concave.m:57: gen1: cost = .*must be convex"),
         (
-            "cubic.m",
-            case5(a=("2	0	0	2	14	0;", "2	0	0	4	1	0	14	0;")),
-            "gen1: cost: a polynomial of degree 3",
+            "zero.m",
+            case5(a=("0.00281	0.0281", "0	0")),
+            "zero.m:44: 1-2: r, x = .*the impedance must not be zero",
         ),
-        (
-            "concave.m",
-            case5(a=("2	0	0	2	14	0;", "2	0	0	3	-1	14	0;")),
-            "gen1: cost = .*must be convex",
-        ),
-        ("zero.m", case5(a=("0.00281	0.0281", "0	0")), "1-2: r, x = .*the impedance must not be zero"),
         (
             "limits.m",
             case5(a=("170	0	127.5	-127.5", "170	0	-127.5	127.5")),
-            "gen2: q = .*the minimum 127.5 is above",
+            "limits.m:35: gen2: q = .*the minimum 127.5 is above",
         ),
     ],
 )
@@ -145,6 +154,106 @@ def test_a_bad_file_gets_one_clear_error(name: str, text: str | None, message: s
     with pytest.raises(CaseError, match=message) as caught:
         om.read_network(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_symbolic_link_is_read_as_what_it_points_to(other_formats: dict[str, Path], tmp_path: Path) -> None:
+    for number, path in enumerate([DATA / "matpower" / "case5.m", *other_formats.values()]):
+        link = tmp_path / f"link{number}{path.suffix}"
+        link.symlink_to(path)
+        cost = om.Polynomial(0, 30, 0)
+        read, linked = (om.read_network(p, default_cost=cost) for p in (path, link))
+        assert contents(linked) == contents(read)
+
+
+READ_STRANGE_FILES = """
+import os, sys
+from pathlib import Path
+import opfmodel as om
+
+folder = Path(sys.argv[1])
+paths = []
+for suffix in (".m", ".raw"):
+    os.mkfifo(folder / f"pipe{suffix}")
+    for device in ("zero", "stdin"):
+        (folder / f"{device}{suffix}").symlink_to(f"/dev/{device}")
+    with (folder / f"endless{suffix}").open("wb") as stream:
+        stream.truncate(10**12)
+    paths += [folder / f"{n}{suffix}" for n in ("pipe", "zero", "stdin", "endless", "0\\0", "n" * 5000)]
+(folder / "pypsa").mkdir()
+os.mkfifo(folder / "pypsa" / "buses.csv")
+for path in (*paths, folder / "pypsa"):
+    try:
+        om.read_network(path, format="pypsa-csv" if path.name == "pypsa" else None)
+    except om.OpfmodelError as error:
+        print(type(error).__name__)
+"""
+
+
+def test_devices_pipes_endless_files_and_strange_names_are_errors(tmp_path: Path) -> None:
+    found = subprocess.run(
+        [sys.executable, "-c", READ_STRANGE_FILES, str(tmp_path)],
+        stdin=subprocess.PIPE, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert found.stderr == ""
+    assert found.stdout.split() == ["CaseError"] * 13
+
+
+def test_a_name_for_the_terminal_is_refused_and_shown_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "red\x1b[31m.m"
+    path.write_text(case5())
+    with pytest.raises(CaseError, match="visible characters only") as caught:
+        om.read_network(path)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("suffix", [".m", ".raw"])
+def test_a_name_that_is_not_utf8_is_an_error(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / (os.fsdecode(b"caf\xe9") + suffix)
+    path.write_text(case5())
+    with pytest.raises(CaseError) as caught:
+        om.read_network(path)
+    assert str(caught.value).isprintable()
+
+
+def test_messages_of_the_reader_are_shown_escaped(tmp_path: Path) -> None:
+    path = tmp_path / "case.\x1b[31m"
+    path.write_text("what the reader quotes")
+    with pytest.raises(CaseError) as caught:
+        om.read_network(path)
+    assert str(caught.value).isprintable()
+
+
+def test_a_path_that_cannot_be_written_is_an_error(grid: om.Network, tmp_path: Path) -> None:
+    for name in ("nul\0.m", "n" * 5000 + ".m", "missing/case.m"):
+        with pytest.raises(CaseError, match="cannot be written"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", CaseWarning)
+            om.write_network(grid, tmp_path / name)
+
+
+@pytest.mark.parametrize("names", [("²", "1"), ("01", "1"), ("٣", "1")])
+def test_names_that_only_look_like_numbers_are_numbered(names: tuple[str, str], tmp_path: Path) -> None:
+    grid = om.Network()
+    for name in names:
+        grid.add(name, om.Bus(reference=name == "1"))
+    grid.tie = om.Branch(*names, r=0, x=1)
+    with pytest.warns(CaseWarning, match="numbered from 1"):
+        path = om.write_network(grid, tmp_path / "copy.m")
+    assert list(om.read_network(path)) == ["1", "2", "1-2"]
+
+
+def test_a_cost_without_its_numbers_is_an_error_in_every_format(tmp_path: Path) -> None:
+    import json
+
+    import powerio
+
+    module = powerio.parse(str(DATA / "pglib" / "pglib_opf_case14_ieee.m"))
+    path = tmp_path / "case.json"
+    powerio.emit(module, "powermodels-json", str(path))
+    tables = json.loads(path.read_text())
+    tables["gen"]["2"]["cost"] = []
+    path.write_text(json.dumps(tables))
+    with pytest.raises(CaseError, match=r"case\.json: gen2: cost: "):
+        om.read_network(path)
 
 
 def test_equipment_that_is_not_modelled_is_an_error_and_not_dropped(tmp_path: Path) -> None:
@@ -158,7 +267,7 @@ def test_equipment_that_is_not_modelled_is_an_error_and_not_dropped(tmp_path: Pa
 def test_diagnostics_of_the_reader_are_warnings(tmp_path: Path) -> None:
     path = tmp_path / "program.m"
     path.write_text(case5() + "\nmpc.bus(:, 3) = 2 * mpc.bus(:, 3);\n")
-    with pytest.warns(CaseWarning, match=r"program\.m: indexed assignment to mpc\.bus is not evaluated"):
+    with pytest.warns(CaseWarning, match=r"program\.m:64: 'mpc\.bus\(:, 3\) = .*' is not evaluated"):
         om.read_network(path)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import math
 import pickle
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
-from opfmodel.components import Component
+from opfmodel.components import Component, at_bus, flag, number
 from opfmodel.errors import ComponentError, ModelError, NetworkError
 
 
@@ -26,8 +28,8 @@ def test_a_component_is_read_back_by_name(grid: om.Network) -> None:
 
 def test_loops_use_add() -> None:
     grid = om.Network()
-    for number in range(3):
-        grid.add(number, om.Bus())
+    for step in range(3):
+        grid.add(step, om.Bus())
     assert list(grid) == ["0", "1", "2"]
 
 
@@ -182,6 +184,90 @@ def test_a_broken_rule_names_component_field_value_and_rule(
     assert "it" not in grid
 
 
+@dataclass(frozen=True)
+class Kite(Component):
+    """A kind of component as another package brings it, with a rule of its own."""
+
+    kind: ClassVar[str] = "kite"
+    plural: ClassVar[str] = "kites"
+
+    bus: str = at_bus()
+    wind: float = number("MW", at_least=0.0)
+    height: float = number("", 1.0)
+    in_service: bool = flag(True)
+
+    def check(self, name: str) -> None:
+        super().check(name)
+        if self.height > 9:
+            raise ComponentError(name, "height", self.height, "must be at most 9")
+
+
+BROKEN = [
+    (om.Bus(vm=(1.1, 0.9)), "vm"),
+    (om.Branch("a", "b", r=0, x=0), "r, x"),
+    (om.Branch("a", "a", r=0, x=1), "to_bus"),
+    (om.Branch("a", "b", r=math.nan, x=1), "r"),
+    (om.Generator("a", p=(5.4, 2.0)), "p"),
+    (om.Generator("a", p=(0, 1), cost=om.Polynomial(-1)), "cost"),
+    (om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0), (0, 5)])), "cost"),
+    (om.Storage("a", energy=1, power=1, initial=2), "initial"),
+    (om.Load("a", p=math.inf), "p"),
+    (Kite("a", wind=-1), "wind"),
+    (Kite("a", wind=1, height=10), "height"),
+]
+
+
+@pytest.mark.parametrize(("component", "field"), BROKEN)
+def test_rules_hold_for_what_is_in_service(component: Component, field: str) -> None:
+    grid = om.Network()
+    idle = replace(component, in_service=False)
+    assert grid.add("it", idle) is grid.it is idle
+    with pytest.raises(ComponentError) as caught:
+        grid.update("it", in_service=True)
+    assert (caught.value.component, caught.value.field) == ("it", field)
+    assert grid.it is idle
+
+
+def test_what_is_out_of_service_in_a_file_is_kept_too() -> None:
+    made = om.Generator.from_mapping("it", {"bus": "a", "p": [5, 2], "in_service": False})
+    assert made.p == (5, 2)
+
+
+@pytest.mark.parametrize(
+    ("component", "field"),
+    [
+        (om.Bus(vm=1.0), "vm"),
+        (om.Bus(reference="yes"), "reference"),
+        (om.Branch("a", "b", r="0.1", x=1), "r"),
+        (om.Branch(1, "b", r=0, x=1), "from_bus"),
+        (om.Generator("a", p=(0, "1")), "p"),
+        (om.Generator("a", p=(0, 1), cost=5), "cost"),
+        (om.Generator("a", p=(0, 1), cost=om.Polynomial("1")), "cost"),
+        (om.Generator("a", p=(0, 1), cost=om.PiecewiseLinear([(0, 0, 0)])), "cost"),
+        (Kite("a", wind=None), "wind"),
+    ],
+)
+def test_types_hold_out_of_service_too(component: Component, field: str) -> None:
+    with pytest.raises(ComponentError) as caught:
+        om.Network().add("it", replace(component, in_service=False))
+    assert (caught.value.component, caught.value.field) == ("it", field)
+
+
+def test_a_status_that_is_no_flag_does_not_escape_the_rules() -> None:
+    with pytest.raises(ComponentError, match="in_service = 0: must be true or false"):
+        om.Network().add("it", om.Load("a", p=1, in_service=0))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["gas\x1b[31m", "gas\n", "\0", "\u202egas"])
+def test_names_are_printable(name: str) -> None:
+    grid = om.Network()
+    for declare in (lambda: om.Network(name), lambda: grid.add(name, om.Bus())):
+        with pytest.raises(NetworkError, match="visible characters only") as caught:
+            declare()
+        assert str(caught.value).isprintable()
+    assert len(grid) == 0
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -213,6 +299,8 @@ def test_no_value_escapes_the_rules(fields: dict) -> None:
         made = om.Storage.from_mapping("it", {"bus": "a", "energy": 1.0, "power": 1.0, **fields})
     except ComponentError as error:
         assert error.field in om.Storage.fields()
+        return
+    if not made.in_service:
         return
     ready = made.resolved()
     assert 0 <= ready.energy_min <= ready.initial <= ready.energy < math.inf

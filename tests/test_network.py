@@ -155,6 +155,19 @@ def test_what_is_out_of_service_is_left_out_and_reported(rich_grid: om.Network) 
     assert arrays.notes == ("out of service, left out: 'cable', 'sun'",)
 
 
+def test_data_out_of_service_that_break_a_rule_are_noted(rich_grid: om.Network) -> None:
+    rich_grid.add("old", om.Generator("a", p=(5.4, 2.0), in_service=False))
+    rich_grid.add("gone", om.Bus(vm=(1.1, 0.9), in_service=False))
+    rich_grid.update("sun", in_service=False)
+    arrays = per_unit(rich_grid)
+    assert arrays.generator.names == ("cheap", "dear")
+    assert arrays.left_out == ("sun", "old", "gone")
+    (note,) = (n for n in arrays.notes if "break a rule" in n)
+    assert "'old', 'gone'" in note
+    assert "old: p = (5.4, 2.0)" in note
+    assert "sun" not in note
+
+
 def test_what_hangs_on_a_bus_that_is_out_of_service_goes_with_it(rich_grid: om.Network) -> None:
     rich_grid.update("d", in_service=False)
     arrays = per_unit(rich_grid)

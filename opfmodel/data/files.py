@@ -16,7 +16,7 @@ from typing import TextIO
 
 from opfmodel.errors import OpfmodelError
 
-__all__ = ["check_file", "open_text", "read_bytes", "read_text"]
+__all__ = ["check_file", "is_folder", "open_text", "read_bytes", "read_text"]
 
 MB = 1_000_000
 MOST_BYTES = 1_000 * MB  # a table of a year in hours for ten thousand components has 700 MB
@@ -60,6 +60,14 @@ def read_bytes(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_B
 def check_file(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> None:
     """Raise an error, as :func:`open_text` does, unless a library may open the file itself."""
     os.close(_open(path, raises, most_bytes))
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path is that of a folder; one that no file can have is not."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def _open(path: Path, raises: type[OpfmodelError], most_bytes: int) -> int:

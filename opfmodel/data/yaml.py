@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from opfmodel.errors import ScenarioError
-from opfmodel.text import name_fault, shown
+from opfmodel.errors import ScenarioError, name_fault, shown
 
 __all__ = ["Place", "parse"]
 

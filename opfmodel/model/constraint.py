@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import name_pattern
-from opfmodel.errors import ConstraintError, ModelError, nearest
+from opfmodel.errors import ConstraintError, ModelError, nearest, shown
 from opfmodel.model.elastic import Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import Stage
 from opfmodel.network import Index
-from opfmodel.text import shown
 from opfmodel.units import bounded, scale
 from solvers import Constraint, Expression, Sum, total
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError, nearest
+from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.model import Stage
 from opfmodel.objectives.base import Objective
-from opfmodel.text import shown
 from opfmodel.units import LARGEST
 from solvers import total
 

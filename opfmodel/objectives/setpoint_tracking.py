@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError, nearest
+from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.model import Stage
 from opfmodel.network import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
-from opfmodel.text import shown
 from opfmodel.units import LARGEST
 from solvers import total
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ConstraintError, ModelError, PluginError, QuantityError
+from opfmodel.errors import ConstraintError, ModelError, PluginError, QuantityError, name_fault
 from opfmodel.formulations.base import Formulation
 from opfmodel.memory import check_memory, problem_bytes
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
@@ -28,7 +28,6 @@ from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
 from opfmodel.profiles.series import check_series, fields_with_series, widest, window
-from opfmodel.text import name_fault
 from opfmodel.units import STEP_HOURS, scale
 from solvers import Program, Session, SolverError, Start, prepare
 

@@ -1,0 +1,512 @@
+"""MATPOWER case files, checked word by word before a reader makes numbers of the words.
+
+A reader made for speed takes what it can: bus 1.5 for bus 1, ``NaN`` cost coefficients for none, so
+that the cost is zero, and the first of two tables of one name where MATLAB has the last.
+:func:`read_case` splits a file into statements as MATLAB does, checks the tables that opfmodel uses,
+and writes each of them once, row by row, into a text that every reader understands alike.
+
+It is no interpreter. Tables and scalars are plain numbers; what changes them afterwards (``mpc.bus(:,
+PD) = ...``) is handed on in its place for the reader to evaluate or refuse, control flow is reported
+and not followed, and whatever else could change the case is an error with its line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.data.files import MB, read_text
+from opfmodel.errors import CaseError
+
+__all__ = ["CaseFile", "read_case"]
+
+MOST_BYTES = 100 * MB  # PGLib's largest case, of 78,484 buses, has 27 MB
+
+# Columns that every row must have, by table.
+COLUMNS = {
+    name: tuple(columns.split())
+    for name, columns in {
+        "bus": "BUS_I BUS_TYPE PD QD GS BS BUS_AREA VM VA BASE_KV ZONE VMAX VMIN",
+        "gen": "GEN_BUS PG QG QMAX QMIN VG MBASE GEN_STATUS PMAX PMIN",
+        "branch": "F_BUS T_BUS BR_R BR_X BR_B RATE_A RATE_B RATE_C TAP SHIFT BR_STATUS ANGMIN ANGMAX",
+        "gencost": "MODEL STARTUP SHUTDOWN NCOST",
+        "storage": "STORAGE_BUS PS QS ENERGY ENERGY_RATING CHARGE_RATING DISCHARGE_RATING "
+        "CHARGE_EFFICIENCY DISCHARGE_EFFICIENCY THERMAL_RATING QMIN QMAX R X P_LOSS Q_LOSS STATUS",
+        "dcline": "F_BUS T_BUS BR_STATUS PF PT QF QT VF VT PMIN PMAX QMINF QMAXF QMINT QMAXT LOSS0 LOSS1",
+    }.items()
+}
+SCALARS = ("baseMVA", "version")
+HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel", "dclinecost"}
+
+EXACT = 2**53  # whole numbers beyond it are not all there in floating point
+BUS_NUMBERS = ("GEN_BUS", "F_BUS", "T_BUS", "STORAGE_BUS")
+# Columns of whole numbers: the smallest and the largest.
+WHOLE = {
+    "BUS_I": (1, EXACT),
+    **dict.fromkeys(BUS_NUMBERS, (1, EXACT)),
+    "BUS_AREA": (0, EXACT),
+    "ZONE": (0, EXACT),
+    "BUS_TYPE": (1, 4),
+    "GEN_STATUS": (0, 1),
+    "BR_STATUS": (0, 1),
+    "STATUS": (0, 1),
+    "MODEL": (1, 2),
+    "NCOST": (1, EXACT),
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A matrix of a case file.
+
+    Attributes
+    ----------
+    line
+        Line on which it begins.
+    words
+        The words as they are written, row by row.
+    values
+        The numbers, ``(rows, columns)``.
+    lines
+        Line of each row.
+    """
+
+    name: str
+    line: int
+    words: Sequence[str]
+    values: npt.NDArray[np.float64]
+    lines: Sequence[int]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """The numbers of a column."""
+        return self.values[:, COLUMNS[self.name].index(name)] if len(self) else np.zeros(0)
+
+
+@dataclass
+class CaseFile:
+    """A case file, checked.
+
+    Attributes
+    ----------
+    text
+        The case in plain form, for a reader.
+    lines
+        Line of each row, by table.
+    changes
+        Lines and texts of the statements that change tables after their assignment; what became of
+        them the reader knows.
+    remarks
+        What the user should know, with file and line.
+    """
+
+    path: Path
+    text: str = ""
+    lines: dict[str, Sequence[int]] = field(default_factory=dict)
+    changes: list[tuple[int, str]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def place(self, table: str, row: int) -> str:
+        """File and line of a row."""
+        return f"{self.path}:{self.lines[table][row]}"
+
+    def unevaluated(self, statements: Sequence[tuple[int, str]]) -> str:
+        """The remark that statements have no effect."""
+        (line, code), *others = statements
+        more = f"; nor are those of lines {', '.join(str(n) for n, _ in others[:5])}" if others else ""
+        more += f" and {len(others) - 5} more" if len(others) > 5 else ""
+        return (
+            f"{self.path}:{line}: {_short(code)} is not evaluated{more}; "
+            "the numbers are those that the tables of the file state"
+        )
+
+
+def read_case(path: Path) -> CaseFile:
+    """Read and check a MATPOWER case file.
+
+    Raises
+    ------
+    CaseError
+        The file cannot be opened; a table or scalar is not made of plain numbers, or its rows differ
+        in length; a bus number, type, status, or the form of a cost is not one; a statement is not
+        understood.
+    """
+    text = read_text(path, CaseError, MOST_BYTES).removeprefix("\ufeff").replace("\r", "\n")
+    parser = _Parser(path)
+    for line, code in _statements(path, _without_block_comments(path, text)):
+        if not parser.take(line, code):
+            break
+    case = parser.finish()
+    _Checks(case, parser.tables).run()
+    return case
+
+
+# Statements -------------------------------------------------------------------------------------
+
+_BLANK = re.compile(r"(?:[\s;,]+|%[^\n]*|\.\.\.[^\n]*)*+")
+_TABLE = re.compile(rf"mpc\.(?:{'|'.join(COLUMNS)})\s*=\s*\[")
+# A quote begins a string unless it follows what can be transposed.
+_MARK = re.compile(
+    r"""%[^\n]*|\.\.\.[^\n]*\n?|(?<![\w)\]}.'])'(?:[^'\n]|'')*+'|"(?:[^"\n]|"")*+"|[\[({]|[])}]|[;,\n]"""
+)
+
+
+def _without_block_comments(path: Path, text: str) -> str:
+    """The text with ``%{ ... %}`` emptied; the lines keep their numbers."""
+    if "%{" not in text:
+        return text
+    begun: list[int] = []
+    kept = []
+    for number, line in enumerate(text.split("\n"), start=1):
+        inside = bool(begun)
+        if line.strip() == "%{":
+            begun.append(number)
+        elif line.strip() == "%}" and begun:
+            begun.pop()
+        kept.append("" if inside or begun else line)
+    if begun:
+        raise CaseError(f"{path}:{begun[0]}: cannot be read as a network: %{{ has no closing %}}")
+    return "\n".join(kept)
+
+
+def _statements(path: Path, text: str) -> Iterator[tuple[int, str]]:
+    """Line and text of each statement; separators and comments between them are left out."""
+    line, counted = 1, 0
+    start = _end_of(_BLANK, text, 0)
+    while start < len(text):
+        line += text.count("\n", counted, start)
+        counted = start
+        table = _TABLE.match(text, start)
+        inside = start if table is None else _end_of_table(text, table.end())
+        end = -1 if inside < 0 else _end_of_statement(text, inside)
+        if end < 0:
+            raise CaseError(
+                f"{path}:{line}: cannot be read as a network: {_short(text[start:])} has no closing bracket"
+            )
+        yield line, text[start:end]
+        start = _end_of(_BLANK, text, end)
+
+
+def _end_of(pattern: re.Pattern[str], text: str, start: int) -> int:
+    found = pattern.match(text, start)
+    return start if found is None else found.end()
+
+
+def _end_of_table(text: str, start: int) -> int:
+    """Position after the bracket that closes a table of numbers, -1 if there is none."""
+    close = text.find("]", start)
+    while close >= 0:
+        before = text[max(text.rfind("\n", start, close), start) : close]
+        if "%" not in before and "..." not in before:
+            return close + 1
+        following = text.find("\n", close)
+        close = text.find("]", following) if following >= 0 else -1
+    return -1
+
+
+def _end_of_statement(text: str, start: int) -> int:
+    """Position of the separator or comment that ends a statement, -1 if a bracket is open."""
+    depth = 0
+    for found in _MARK.finditer(text, start):
+        mark = found.group()
+        if mark in ("[", "(", "{"):
+            depth += 1
+        elif mark in ("]", ")", "}"):
+            depth -= 1
+        elif depth <= 0 and mark[0] in ";,\n%":
+            return found.start()
+    return -1 if depth > 0 else len(text)
+
+
+# What they mean ---------------------------------------------------------------------------------
+
+_FUNCTION = re.compile(r"function\b")
+_HEADER = re.compile(r"function\s+(?:mpc|\[\s*mpc\s*\])\s*=\s*\w+\s*(?:\(.*\)\s*)?")
+_ASSIGNMENT = re.compile(r"mpc\.(\w+)\s*=(?!=)\s*")
+_PART = re.compile(r"mpc\.(\w+)\s*([.({])")
+_VARIABLE = re.compile(r"(?!mpc\b)(?:[A-Za-z]\w*(?:[.({][^='\"]*+)?|\[(?:(?!\bmpc\b)[^]=])*+\])\s*+=(?!=)")
+_OPENING = re.compile(r"(?:if|for|while|switch|try|parfor)\b")
+_CONSTANTS = re.compile(r"define_constants\s*")
+_END = re.compile(r"end\s*")
+_LAST = re.compile(r"(?:end|return)\s*")
+_VERSION = re.compile(r"(['\"]?)[12]\1")
+_NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[Ii]nf|NaN|nan)")
+
+
+class _Parser:
+    """Takes statements one by one and keeps what makes the case."""
+
+    def __init__(self, path: Path) -> None:
+        self.case = CaseFile(path)
+        self.tables: dict[str, Table] = {}
+        self.parts: dict[str | int, str] = {}  # of the plain text, in order: by name or number
+        self.assigned: dict[str, int] = {}
+        self.changed: set[str] = set()
+        self.unread: dict[str, int] = {}
+        self.blocks: list[tuple[int, str]] = []  # of control flow that are open
+        self.skipped: list[tuple[int, str]] = []
+        self.begun = False
+        self.handed_on = 0
+
+    def take(self, line: int, code: str) -> bool:
+        """Take one statement; whether more can follow."""
+        if _FUNCTION.match(code):
+            if self.begun:  # further functions of the file, which nothing calls
+                return False
+            if not _HEADER.fullmatch(code):
+                raise self._error(line, f"{_short(code)}: 'function mpc = NAME' is expected")
+        elif self.blocks or _OPENING.match(code):
+            self._take_in_block(line, code)
+        elif assignment := _ASSIGNMENT.match(code):
+            self._assign(line, assignment[1], code[assignment.end() :])
+        elif part := _PART.match(code):
+            self._change(line, code, part[1], part[2])
+        elif _LAST.fullmatch(code):
+            return False
+        elif _VARIABLE.match(code) or _CONSTANTS.fullmatch(code):
+            self._hand_on(code)
+        else:
+            raise self._error(
+                line, f"{_short(code)} is not understood; a case assigns numbers: mpc.NAME = [ ... ];"
+            )
+        self.begun = True
+        return True
+
+    def finish(self) -> CaseFile:
+        """The case of all statements."""
+        if self.blocks:
+            line, code = self.blocks[0]
+            raise self._error(line, f"{_short(code)} has no end")
+        for name in ("baseMVA", "bus", "branch"):
+            if name not in self.assigned:
+                raise CaseError(f"{self.case.path}: cannot be read as a network: there is no mpc.{name}")
+        for name, line in self.unread.items():
+            self._remark(line, f"mpc.{name} is not read")
+        if self.skipped:
+            self.case.remarks.append(self.case.unevaluated(self.skipped))
+        self.case.text = "".join(self.parts.values())
+        self.case.lines = {name: table.lines for name, table in self.tables.items()}
+        return self.case
+
+    def _take_in_block(self, line: int, code: str) -> None:
+        """Control flow is not followed; it may change tables, which is reported, but not make them."""
+        if _OPENING.match(code):
+            if not self.blocks:
+                self.skipped.append((line, code))
+            self.blocks.append((line, code))
+        elif _END.fullmatch(code):
+            self.blocks.pop()
+        elif (assignment := _ASSIGNMENT.match(code)) and assignment[1] in (*COLUMNS, *SCALARS):
+            raise self._error(line, f"mpc.{assignment[1]} is assigned within {_short(self.blocks[0][1])}")
+
+    def _assign(self, line: int, name: str, value: str) -> None:
+        if name in COLUMNS:
+            table, code = self._table(line, name, value)
+            self.tables[name] = table
+        elif name in SCALARS:
+            code = self._scalar(line, name, value.strip())
+        else:
+            if name not in HARMLESS:
+                self.unread.setdefault(name, line)
+            return
+        if name in self.changed:
+            raise self._error(line, f"mpc.{name} is assigned again after statements that change it")
+        if name in self.assigned:
+            # MATLAB runs the file, so that the last assignment counts, and everyone who computed
+            # with the file in MATPOWER had it so. The other tables may well be meant to differ, or
+            # have been forgotten: the user is told of both.
+            self._remark(
+                line, f"mpc.{name} is assigned again; this is taken, not that of line {self.assigned[name]}"
+            )
+        self.assigned[name] = line
+        self.parts.pop(name, None)
+        self.parts[name] = code
+
+    def _change(self, line: int, code: str, name: str, bracket: str) -> None:
+        if name in (*COLUMNS, *SCALARS):
+            if bracket != "(":
+                raise self._error(line, f"{_short(code)} is not understood; mpc.{name} is made of numbers")
+            self.changed.add(name)
+            self.case.changes.append((line, code))
+            self._hand_on(code)
+        elif name not in HARMLESS:
+            self.unread.setdefault(name, line)
+
+    def _hand_on(self, code: str) -> None:
+        """Leave a statement to the reader, in its place."""
+        self.handed_on += 1
+        self.parts[self.handed_on] = code + ";\n"
+
+    def _scalar(self, line: int, name: str, value: str) -> str:
+        if name == "version" and not _VERSION.fullmatch(value):
+            raise self._error(line, f"mpc.version = {_short(value)}: must be '1' or '2'")
+        if name == "baseMVA" and not (_NUMBER.fullmatch(value) and 0 < float(value) < np.inf):
+            raise self._error(line, f"mpc.baseMVA = {_short(value)}: must be a positive number")
+        return f"mpc.{name} = {value};\n"
+
+    def _table(self, line: int, name: str, value: str) -> tuple[Table, str]:
+        """A table, and its text without comments, commas and continued lines."""
+        close = _end_of_table(value, 1)
+        if not value.startswith("[") or value[close:].strip():
+            raise self._error(line, f"mpc.{name} = {_short(value)}: must be a table [ ... ] of numbers")
+        body = re.sub("%[^\n]*", "", value[1 : close - 1])
+        continued = "..." in body
+        if continued:
+            body = re.sub(r"\.\.\.[^\n]*\n?", "\f", body)  # a blank that the count of lines knows
+        if "," in body:
+            odd = re.search(r"(?:^|[;,\n])[^\S\n]*,", body)
+            if odd:
+                at = line + body.count("\n", 0, odd.end()) + body.count("\f", 0, odd.end())
+                raise self._error(at, f"mpc.{name}: there is no number before a comma")
+            body = body.replace(",", " ")
+        words: list[str] = []
+        widths: list[int] = []
+        lines: list[int] = []
+        number = line
+        for text in body.split("\n"):
+            for row in text.split(";"):
+                found = row.split()
+                if found:
+                    words += found
+                    widths.append(len(found))
+                    lines.append(number)
+            number += 1 + (text.count("\f") if continued else 0)
+        if len(set(widths)) > 1:
+            usual = Counter(widths).most_common(1)[0][0]
+            odd_row = next(i for i, width in enumerate(widths) if width != usual)
+            whose = _whose(self.tables, name, odd_row)
+            raise self._error(
+                lines[odd_row], f"{whose}: the row has {widths[odd_row]} numbers; others have {usual}"
+            )
+        if not (_plain(body) and (values := _floats(words)) is not None):
+            at, word = next((i, w) for i, w in enumerate(words) if not _NUMBER.fullmatch(w))
+            row_at = at // widths[0]
+            raise self._error(
+                lines[row_at], f"{_whose(self.tables, name, row_at)}: {word!r} is not a plain number"
+            )
+        values = values.reshape(len(lines), widths[0] if widths else 0)
+        table = Table(name, line, words, values, lines)
+        return table, f"mpc.{name} = [\n{body}\n];\n"
+
+    def _remark(self, line: int, what: str) -> None:
+        self.case.remarks.append(f"{self.case.path}:{line}: {what}")
+
+    def _error(self, line: int, what: str) -> CaseError:
+        return CaseError(f"{self.case.path}:{line}: {what}")
+
+
+_DIGITS = str.maketrans("", "", "0123456789+-.eE \t\n\f;")
+
+
+def _plain(body: str) -> bool:
+    """Whether a table has nothing but digits, infinity and NaN in it."""
+    for word in ("Inf", "inf", "NaN", "nan"):
+        body = body.replace(word, "")
+    return not body.translate(_DIGITS)
+
+
+def _floats(words: Sequence[str]) -> npt.NDArray[np.float64] | None:
+    try:
+        return np.array(words, dtype=float)
+    except ValueError:
+        return None
+
+
+def _short(code: str) -> str:
+    """The beginning of a statement, in quotes."""
+    first = code.strip().split("\n", 1)[0].strip()
+    return repr(first if len(first) <= 60 else first[:57] + "...")
+
+
+# Checks -----------------------------------------------------------------------------------------
+
+
+class _Checks:
+    """What the tables of a case must keep before anyone makes numbers of them."""
+
+    def __init__(self, case: CaseFile, tables: Mapping[str, Table]) -> None:
+        self.case = case
+        self.tables = tables
+
+    def run(self) -> None:
+        """Raise an error for the first fault."""
+        for table in self.tables.values():
+            if len(table):
+                self._columns(table)
+        self._buses()
+        if "gencost" in self.tables:
+            self._costs(self.tables["gencost"])
+
+    def _columns(self, table: Table) -> None:
+        """All columns are there, and numbers of buses, types and states are whole."""
+        columns = COLUMNS[table.name]
+        if table.values.shape[1] < len(columns):
+            raise CaseError(
+                f"{self.case.place(table.name, 0)}: mpc.{table.name}: {table.values.shape[1]} columns; "
+                f"at least {len(columns)} are needed: {', '.join(columns)}"
+            )
+        for column in columns:
+            if column in WHOLE:
+                low, high = WHOLE[column]
+                values = table.column(column)
+                sound = (values >= low) & (values <= high) & (values == np.floor(values))
+                accepted = f"of at least {low}" if high == EXACT else f"from {low} to {high}"
+                self._require(table, column, sound, f"must be a whole number {accepted}")
+
+    def _buses(self) -> None:
+        """No bus is there twice, and nothing is at a bus that is not there."""
+        buses = self.tables["bus"]
+        numbers = buses.column("BUS_I")
+        first = np.zeros(len(numbers), dtype=bool)
+        first[np.unique(numbers, return_index=True)[1]] = True
+        self._require(buses, "BUS_I", first, "there is a bus of this number already")
+        for table in self.tables.values():
+            for column in BUS_NUMBERS:
+                if column in COLUMNS[table.name]:
+                    known = np.isin(table.column(column), numbers)
+                    self._require(table, column, known, "there is no such bus")
+
+    def _costs(self, costs: Table) -> None:
+        """A row for every generator, or two, and in every row as many numbers as it states."""
+        generators = len(self.tables.get("gen", ()))
+        if len(costs) not in (generators, 2 * generators):
+            raise CaseError(
+                f"{self.case.path}:{costs.line}: mpc.gencost has {len(costs)} rows for {generators} "
+                "generators; one for each is needed, or two with costs of reactive power"
+            )
+        if not len(costs):
+            return
+        pairs = np.where(costs.column("MODEL") == 1, 2, 1)
+        counts = costs.column("NCOST")
+        fixed = len(COLUMNS["gencost"])
+        given = costs.values.shape[1] - fixed
+        self._require(costs, "NCOST", counts >= pairs, "a piecewise-linear cost has at least 2 points")
+        self._require(costs, "NCOST", counts * pairs <= given, f"the row has {given} numbers after it")
+        if np.any(costs.values[generators:, fixed:]):
+            place = self.case.place("gencost", generators)
+            self.case.remarks.append(f"{place}: costs of reactive power are not read")
+
+    def _require(self, table: Table, column: str, sound: npt.NDArray[np.bool_], accepted: str) -> None:
+        """Raise an error that names the first row that is not sound, and what it has there."""
+        if sound.all():
+            return
+        row = int(np.argmin(sound))
+        word = table.words[row * table.values.shape[1] + COLUMNS[table.name].index(column)]
+        whose = _whose(self.tables, table.name, row)
+        raise CaseError(f"{self.case.place(table.name, row)}: {whose}: {column} = {word}: {accepted}")
+
+
+def _whose(tables: Mapping[str, Table], table: str, row: int) -> str:
+    """The generator of a row, as it is named in the network; the table, whose other rows have no names."""
+    if table not in ("gen", "gencost"):
+        return f"mpc.{table}"
+    generators = len(tables.get("gen", ()))
+    return f"gen{(row % generators if generators else row) + 1}"
