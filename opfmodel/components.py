@@ -677,7 +677,7 @@ class Network:
         self._components[name] = component
         return component
 
-    def update(self, name: str, **changes: Any) -> Component:
+    def update(self, name: str, /, **changes: Any) -> Component:
         """Replace fields of a declared component: ``grid.update("coal", ramp=30)``."""
         old = self[name]
         for key, value in changes.items():

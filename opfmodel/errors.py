@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from opfmodel.text import shown, visible
+
 __all__ = [
     "CaseError",
     "CaseWarning",
@@ -26,7 +28,13 @@ __all__ = [
 
 
 class OpfmodelError(Exception):
-    """Base class: a mistake in the input, said in one sentence. The command line exits with 2."""
+    """Base class: a mistake in the input, said in one sentence. The command line exits with 2.
+
+    The message is one line whatever names and paths it quotes.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(visible(message))
 
 
 class ComponentError(OpfmodelError):
@@ -43,7 +51,7 @@ class ComponentError(OpfmodelError):
         self.field = field
         self.value = value
         self.rule = rule
-        super().__init__(f"{component}: {field} = {value!r}: {rule}")
+        super().__init__(f"{component}: {field} = {shown(value)}: {rule}")
 
 
 class NetworkError(OpfmodelError):
