@@ -847,7 +847,7 @@ class Network:
         self._components[name] = component
         return component
 
-    def update(self, name: str, **changes: Any) -> Component:
+    def update(self, name: str, /, **changes: Any) -> Component:
         """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
 
         Rules are checked as by :meth:`add`, so that a component put in service,

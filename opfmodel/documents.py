@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
-from opfmodel.errors import ScenarioError, name_fault, nearest, visible
+from opfmodel.errors import ScenarioError, name_fault, nearest, shown
 
 __all__ = ["Document", "check_name", "read_document", "validated"]
 
@@ -19,6 +19,7 @@ Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _MOST_BYTES = 20_000_000
+_MOST_NAME_BYTES = 120  # a file system takes 255, and a folder may have the names of a scenario and a variant
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Document:
     def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
         """An error that names file, line, column and key; of a missing key the parent's position."""
         place = self.place.at(key)
-        name = visible(".".join(str(part) for part in key))
+        name = ".".join(str(part) for part in key)
         return ScenarioError(
             f"{self.path}:{place.line}:{place.column}: {name + ': ' if name else ''}{message}"
         )
@@ -65,6 +66,10 @@ def check_name(document: Document, key: Key, name: str) -> None:
         )
     if fault := name_fault(name):
         raise document.error(key, f"{name!r}: {fault}")
+    if len(name.encode()) > _MOST_NAME_BYTES:
+        raise document.error(
+            key, f"{shown(name)}: is the name of a folder: it has at most {_MOST_NAME_BYTES} bytes"
+        )
 
 
 def read_document(path: str | Path) -> Document:
@@ -115,13 +120,13 @@ def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> st
     if fault["type"] == "missing":
         return "this key is missing"
     value = fault.get("input")
-    shown = f"{value!r}: " if isinstance(value, str | int | float | bool | None) else ""
+    given = f"{shown(value)}: " if isinstance(value, str | int | float | bool | None) else ""
     if fault["type"] in ("model_type", "dict_type"):
         keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
-        return f"{shown}must be a mapping" + (f" with keys of {', '.join(keys)}" if keys else "")
+        return f"{given}must be a mapping" + (f" with keys of {', '.join(keys)}" if keys else "")
     if fault["type"] == "value_error":
-        return f"{shown}{fault['ctx']['error']}"
-    return f"{shown}{fault['msg'][0].lower()}{fault['msg'][1:]}"
+        return f"{given}{fault['ctx']['error']}"
+    return f"{given}{fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:

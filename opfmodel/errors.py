@@ -36,7 +36,7 @@ _LONGEST = 200
 class OpfmodelError(Exception):
     """Base class: a mistake in the input, in one sentence. The command line exits with 2.
 
-    A sentence may quote files and names; what a terminal would obey is written as an escape.
+    The message is one line whatever names and paths it quotes.
     """
 
     def __init__(self, message: str = "") -> None:
@@ -57,7 +57,7 @@ class ComponentError(OpfmodelError):
         self.field = field
         self.value = value
         self.rule = rule
-        super().__init__(f"{component}: {field} = {value!r}: {rule}")
+        super().__init__(f"{component}: {field} = {shown(value)}: {rule}")
 
 
 class NetworkError(OpfmodelError):

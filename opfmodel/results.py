@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.files import check_file
 from opfmodel.errors import ResultError
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
@@ -110,9 +111,10 @@ def load(folder: str | Path) -> xr.Dataset:
     import xarray as xr
 
     path = Path(folder)
-    path = path / "trajectories.nc" if path.is_dir() else path
-    if not path.exists():
+    path = path / "trajectories.nc" if os.path.isdir(path) else path  # noqa: PTH112 - of any text
+    if not os.path.exists(path):  # noqa: PTH110 - of any text
         raise ResultError(f"{path}: there is no such file; 'opfmodel run' writes it")
+    check_file(path, ResultError)
     try:
         return xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError) as error:

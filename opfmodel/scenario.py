@@ -21,6 +21,7 @@ from opfmodel import cases, plugins
 from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
+from opfmodel.data.yaml import MOST_LEVELS
 from opfmodel.documents import Document, check_name, read_document, validated
 from opfmodel.errors import (
     CaseError,
@@ -342,7 +343,10 @@ def laid_over(
             raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
         content = _overlay(content, variants[variant])
     for key, value in (overrides or {}).items():
-        content = _overlay(content, _nested(key.split("."), value))
+        parts = key.split(".")
+        if len(parts) > MOST_LEVELS:
+            raise document.error((), f"{shown(key)}: there is no key of {len(parts)} parts")
+        content = _overlay(content, _nested(parts, value))
     return content
 
 
@@ -372,7 +376,9 @@ def _overlay(base: Any, over: Any) -> Any:
 
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:
-    return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
+    for key in reversed(keys):
+        value = {key: value}
+    return dict(value)
 
 
 @contextmanager
@@ -427,7 +433,7 @@ class _Declarations:
                 for name, _ in self._members(section):
                     if name_pattern(name).fullmatch(error.component):
                         key = ("network", section, name, error.field)
-                        raise self.document.error(key, f"{error.value!r}: {error.rule}") from error
+                        raise self.document.error(key, f"{shown(error.value)}: {error.rule}") from error
             raise
 
     def _start(self, name: str) -> Network:
@@ -497,8 +503,8 @@ class _Declarations:
             yield
         except ComponentError as error:
             key = ("network", section, name, error.field)
-            shown = "" if error.value is None else f"{error.value!r}: "
-            raise self.document.error(key, f"{shown}{error.rule}") from error
+            value = "" if error.value is None else f"{shown(error.value)}: "
+            raise self.document.error(key, f"{value}{error.rule}") from error
         except (NetworkError, CaseError) as error:
             raise self.document.error(("network", section, name), str(error)) from error
 

@@ -17,10 +17,10 @@ import yaml
 
 from opfmodel.errors import ScenarioError, name_fault, shown
 
-__all__ = ["Place", "parse"]
+__all__ = ["MOST_LEVELS", "Place", "parse"]
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # a PyYAML built without libyaml is slow, not wrong
-_MOST_LEVELS = 50
+MOST_LEVELS = 50
 _MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
 _MOST_DIGITS = 100
 _WORDS: dict[str, Any] = {
@@ -146,8 +146,8 @@ class _Reader:
         if isinstance(event, yaml.ScalarEvent):
             self.add(event, 1)
             node = _Node(self.scalar(event), (), 1)
-        elif level >= _MOST_LEVELS:
-            self.refuse(event, f"nested too deeply; at most {_MOST_LEVELS} levels are accepted")
+        elif level >= MOST_LEVELS:
+            self.refuse(event, f"nested too deeply; at most {MOST_LEVELS} levels are accepted")
         else:
             self.add(event, 1)
             before = self.count
