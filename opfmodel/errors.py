@@ -10,6 +10,7 @@ __all__ = [
     "CaseWarning",
     "ComponentError",
     "ConstraintError",
+    "IncompatibleError",
     "ModelError",
     "NetworkError",
     "OpfmodelError",
@@ -77,7 +78,14 @@ class ProfileWarning(UserWarning):
 
 
 class ModelError(OpfmodelError):
-    """A formulation, objective, device or horizon that do not fit together."""
+    """An option of a formulation, objective, device, plant or horizon breaks a rule."""
+
+
+class IncompatibleError(ModelError):
+    """Parts that are valid by themselves do not fit together: an objective and a formulation, for instance.
+
+    A study keeps such a combination as a failed run; every other error is a mistake in its file.
+    """
 
 
 class QuantityError(ModelError):

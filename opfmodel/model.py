@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from opfmodel.components import BUILT_IN, Component
 from opfmodel.elastic import Elastic, Slack, Soft
-from opfmodel.errors import ModelError, QuantityError, nearest
+from opfmodel.errors import IncompatibleError, QuantityError, nearest
 from opfmodel.network import PerUnitNetwork, Table
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum
 
@@ -570,13 +570,13 @@ class Model:
     def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity, so that objectives and constraints can use it and plans report it."""
         if name in self.published:
-            raise ModelError(f"two quantities are named {name!r}")
+            raise IncompatibleError(f"two quantities are named {name!r}")
         self.published[name] = Published(kind, unit, description, values)
 
     def report(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity for results alone: objectives and constraints do not see it."""
         if name in self.published or name in self.reported:
-            raise ModelError(f"two quantities are named {name!r}")
+            raise IncompatibleError(f"two quantities are named {name!r}")
         self.reported[name] = Published(kind, unit, description, values)
 
     def field(self, kind: str, field: str) -> Any:

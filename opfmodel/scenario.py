@@ -26,6 +26,7 @@ from opfmodel.errors import (
     CaseError,
     ComponentError,
     ConstraintError,
+    IncompatibleError,
     ModelError,
     NetworkError,
     OpfmodelError,
@@ -307,8 +308,11 @@ def load_scenario(
             find(solver, Kind.LINEAR)
     with _located(document, ("controller",)):
         problem = scenario.problem()
+    plant = _plant(document, scenario)
+    # last, and in this order: parts that do not fit together must not hide a mistake
     _check_constraints(document, scenario.constraints, problem)
-    _check_plant(document, scenario)
+    with _located(document, ("forecast",)):
+        check_answer(scenario.forecast, plant)
     return scenario
 
 
@@ -547,21 +551,32 @@ def _constraints(document: Document, settings: _File) -> dict[str, Limited]:
 
 
 def _check_constraints(document: Document, constraints: Mapping[str, Limited], problem: MultiStage) -> None:
-    """Raise an error with the position of a term that is not in the network or not published."""
+    """Raise an error with the position of a term that is not in the network or not published.
+
+    A term that only this formulation does not publish is reported after all others.
+    """
     if not constraints:
         return
     probe = MultiStage(
         problem.network, formulation=problem.formulation, profiles=problem.profiles, devices=problem.devices
     )
-    stage: Any = PhysicalStage(probe.declare())
+    with _located(document, ("controller",)):
+        stage: Any = PhysicalStage(probe.declare())
+    unpublished: dict[tuple[str, ...], ModelError] = {}
     for name, own in constraints.items():
+        missing: dict[tuple[str, ...], ModelError] = {}
         with _in_constraint(document, name):
             for key in own.linear.terms:
                 try:
                     own.linear.term(stage, key)
                 except QuantityError as error:
-                    raise ConstraintError(problem.explain(error), "terms", key) from error
-            own.linear(stage)
+                    missing["constraints", name, "terms", key] = problem.explain(error)
+            if not missing:
+                own.linear(stage)
+        unpublished |= missing
+    for where, fault in sorted(unpublished.items(), key=lambda item: isinstance(item[1], IncompatibleError)):
+        with _located(document, where):
+            raise fault
 
 
 @contextmanager
@@ -607,8 +622,8 @@ def _forecast(document: Document, settings: _File) -> Forecast:
         return made
 
 
-def _check_plant(document: Document, scenario: Scenario) -> None:
-    """Raise an error for an option that the plant does not take, or that does not fit the network."""
+def _plant(document: Document, scenario: Scenario) -> Plant:
+    """The plant; an option that it does not take, or that does not fit the network, is an error."""
     settings = scenario.settings.plant
     accepted = list(inspect.signature(_PLANTS[settings.mode]).parameters)
     for key in settings.model_dump(exclude={"mode"}, exclude_none=True):
@@ -617,11 +632,10 @@ def _check_plant(document: Document, scenario: Scenario) -> None:
             raise document.error(("plant", key), f"mode {settings.mode!r} has no such option; {known}")
     with _located(document, ("plant",)):
         plant = scenario.plant()
-    with _located(document, ("forecast",)):
-        check_answer(scenario.forecast, plant)
     if settings.participation is not None:
         with _located(document, ("plant", "participation")):
             PowerFlow(settings.participation).shares(per_unit(scenario.network))
+    return plant
 
 
 def _setpoints(value: Any, scenario: Scenario) -> Setpoints:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -146,6 +147,90 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
         read_study(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+# A grid with voltages and a storage, whose objective and plant a study may choose.
+PAIR = """\
+network:
+  buses: {a: {}, b: {}}
+  branches: {line: {from_bus: a, to_bus: b, r: 0.01, x: 0.1}}
+  generators: {unit: {bus: a, p: [0, 100], q: [-50, 50], cost: {c1: 20}}}
+  storages: {cell: {bus: b, energy: 20, power: 5, initial: 10}}
+  loads: {town: {bus: b, p: 50, q: 10}}
+time: {steps: 2}
+controller: {horizon: 2}
+"""
+TOO_FULL = "{state-of-charge-tracking: {share: 3}}"
+NOISY = "{noisy: {deviation: 0.1, seed: 1}}"
+VOLTAGE = "{terms: {bus.vm: 1}, at_most: 6}"  # which a formulation without voltages lacks
+NOBODY = "{mode: power-flow, participation: {nobody: 1}}"
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """A folder with the pair."""
+    (tmp_path / "pair.yaml").write_text(PAIR)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("fixed", "vary", "blamed", "said"),
+    [
+        ("{}", f"{{cost: [economic, {TOO_FULL}]}}", TOO_FULL, "share = 3"),
+        ("{}", f"{{cost: [{TOO_FULL}, economic]}}", TOO_FULL, "share = 3"),
+        ("{}", f"{{weights: {{one: {{}}, two: {{cost: {TOO_FULL}}}}}}}", "two", "share = 3"),
+        (f"{{cost: {TOO_FULL}}}", "{time.steps: [1, 2]}", "set", "share = 3"),
+        ("{}", "{cost: [economic, {economic: {energy_weight: -1}}]}", "{economic", "energy_weight = -1"),
+        ("{}", "{cost: [{linear-quadratic: {Q: {pgg: 1}}}]}", "{linear", "'pgg'"),
+        ("{}", "{cost: [{setpoint-tracking: {setpoints: {unit.pq: 1}}}]}", "{setpoint", "'unit.pq'"),
+        ("{}", f"{{plant: [{{mode: power-flow}}, {NOBODY}]}}", NOBODY, "'nobody'"),
+        ("{}", "{constraints.c: [{terms: {bus.v: 1}, at_most: 1}]}", "{terms", "'v'"),
+        ("{}", "{constraints.c: [{terms: {nobody.vm: 1}, at_most: 1}]}", "{terms", "'nobody'"),
+        ("{}", "{constraints.c: [{terms: {bus.vm: 1}}]}", "{terms", "needs a limit"),
+        # other parts that do not fit hide no mistake
+        (
+            f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
+            "{constraints.b: [{terms: {bus.v: 1}, at_most: 1}]}",
+            "{terms: {bus.v:",
+            "'v'",
+        ),
+        (
+            f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
+            "{constraints.b: [{terms: {generator.p_max: 1}, at_most: 1}]}",
+            "{terms: {generator",
+            "no term is a quantity that is decided",
+        ),
+        (f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}", f"{{plant: [{NOBODY}]}}", NOBODY, "'nobody'"),
+    ],
+)  # fmt: skip
+def test_a_bad_option_is_refused_with_its_place(
+    fixed: str, vary: str, blamed: str, said: str, pair: Path
+) -> None:
+    path, lines = pair / "study.yaml", ["scenario: pair.yaml", f"set: {fixed}", f"vary: {vary}"]
+    path.write_text("\n".join(lines))
+    line = next(n for n, text in enumerate(lines) if blamed in text)
+    with pytest.raises(ScenarioError, match=re.escape(said)) as caught:
+        read_study(path)
+    assert str(caught.value).startswith(f"{path}:{line + 1}:{lines[line].index(blamed) + 1}: ")
+
+
+@pytest.mark.parametrize(
+    ("fixed", "vary", "lacking"),
+    [
+        ("{cost: voltage-deviation}", "{controller.formulation: [ac, dc]}", "vm"),
+        (f"{{constraints.c: {VOLTAGE}}}", "{controller.formulation: [ac, dc]}", "bus.vm"),
+        ("{constraints.c: {terms: {generator.qg: 1}, at_most: 90}}", "{controller.formulation: [ac, dc]}", "generator.qg"),
+        ("{}", f"{{forecast: [perfect, {NOISY}]}}", "power-flow or redispatch"),
+        ("{controller.generator_delay: 1}", "{controller.horizon: [2, 1]}", "at least 2 stages"),
+    ],
+)  # fmt: skip
+def test_parts_that_do_not_fit_are_accepted_and_become_a_row(
+    fixed: str, vary: str, lacking: str, pair: Path
+) -> None:
+    (pair / "study.yaml").write_text(f"scenario: pair.yaml\nset: {fixed}\nvary: {vary}\n")
+    outcome = run_study(read_study(pair / "study.yaml"), pair / "out", workers=0)
+    assert (outcome.done, outcome.failed) == (1, 1)
+    assert lacking in results(pair / "out")[1]["error"]
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "3\n"])

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.elastic import Shortage, shortages
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.model import Model, NumericStage
 from opfmodel.network import PerUnitNetwork
 from opfmodel.units import scale
@@ -129,7 +129,7 @@ class Plan:
             elif state.role == "stock" or not committed:
                 values = self.solution.value(name)[:, 0]
             elif self.problem.horizon == 1:
-                raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
+                raise IncompatibleError("with generator_delay = 1 a receding horizon needs at least 2 stages")
             else:
                 values = self.solution.value(name)[:, 1]
             out[state.name] = values * scale(state.unit, self._network.base_mva)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.elastic import Elastic
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.forecasts.perfect import Perfect
 from opfmodel.model import NumericStage
@@ -331,9 +331,9 @@ def simulate(
 
 
 def check_answer(forecast: Forecast | None, plant: Plant) -> None:
-    """Raise :class:`ModelError` if plans for demand that does not come would be taken for what happens."""
+    """Raise :class:`IncompatibleError` if plans for demand that does not come would count as what happens."""
     if isinstance(plant, NominalPlant) and not (forecast is None or isinstance(forecast, Perfect)):
-        raise ModelError(
+        raise IncompatibleError(
             f"forecast {type(forecast).__name__} with the nominal plant: the balance would not hold; "
             "an imperfect forecast needs a plant that answers: power-flow or redispatch"
         )

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel.documents import Document, check_name, read_document, validated
-from opfmodel.errors import ModelError, ScenarioError
+from opfmodel.errors import IncompatibleError, ScenarioError
 from opfmodel.scenario import load_scenario
 
 __all__ = ["Axis", "Study", "Variation", "read_study"]
@@ -119,7 +119,7 @@ class Study:
 def read_study(path: str | Path) -> Study:
     """Read a study file and try every point of every axis, the other axes at their first.
 
-    Runs whose parts do not fit together (:class:`ModelError`: an objective that needs what a
+    Runs whose parts do not fit together (:class:`IncompatibleError`: an objective that needs what a
     formulation lacks) are accepted: they become failed rows of the table.
 
     Raises
@@ -216,5 +216,5 @@ def _refusal(variation: Variation) -> ScenarioError | None:
     try:
         load_scenario(variation.scenario, variation.variant, variation.overrides)
     except ScenarioError as error:
-        return None if isinstance(error.__cause__, ModelError) else error
+        return None if isinstance(error.__cause__, IncompatibleError) else error
     return None
