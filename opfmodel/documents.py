@@ -13,7 +13,7 @@ from ruamel.yaml.scalarbool import ScalarBoolean
 
 from opfmodel.errors import ScenarioError, nearest
 
-__all__ = ["Document", "check_name", "read_document", "validated"]
+__all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -45,7 +45,7 @@ class Document:
         while known and known not in self.positions:
             known = known[:-1]
         line, column = self.positions.get(known, (1, 1))
-        name = ".".join(str(part) for part in key)
+        name = _printable(".".join(str(part) for part in key))
         return ScenarioError(f"{self.path}:{line}:{column}: {name + ': ' if name else ''}{message}")
 
     def over(self, key: Key) -> Document:
@@ -54,8 +54,15 @@ class Document:
         return replace(self, positions={**self.positions, **{k: at for k, at in laid.items() if k}})
 
 
+def check_printable(document: Document, key: Key, name: str) -> None:
+    """Raise :class:`ScenarioError` for a name with characters that a terminal would obey or not show."""
+    if not name.isprintable():
+        raise document.error(key, f"{name!r}: a name has printable characters alone")
+
+
 def check_name(document: Document, key: Key, name: str) -> None:
     """Raise :class:`ScenarioError` for a name that cannot be that of a folder of results."""
+    check_printable(document, key, name)
     if not name.strip(". ") or set(name) & set("/\\\0"):
         raise document.error(
             key, f"{name!r}: is the name of a folder of results: it cannot be empty, dots, or hold / or \\"
@@ -164,6 +171,11 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for part in get_args(annotation):
         yield from _models(part)
+
+
+def _printable(text: str) -> str:
+    """A text with escapes in place of what cannot be printed."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 class _Plain:

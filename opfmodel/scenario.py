@@ -275,15 +275,14 @@ def load_scenario(
     if variant is not None:
         document = document.over(("variants", variant))
     settings = validated(document, content, _File)
-    if settings.name is not None:
-        check_name(document, ("name",), settings.name)
+    name = document.path.stem if settings.name is None else settings.name
+    check_name(document, ("name",), name)
     for each in settings.variants:
         check_name(document, ("variants", each), each)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
-        network = declarations.network(settings.name or document.path.stem)
+        network = declarations.network(name)
         declarations.check(network)
-    name = settings.name or document.path.stem
     cost = _objective(document, ("cost",), settings.cost)
     scenario = Scenario(
         name=name if variant is None else f"{name}:{variant}",

@@ -137,6 +137,14 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: cannot be read"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
+        ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*valid integer"),
+        ("controller.horizon: [1", "cost: [{economic: {since: 2020-01-01}}", r"study.yaml:3:10: .*no option 'since'"),
+        ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is varied by"),
+        ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
+        ("scenario:", "name: \"a\\e[2J\"\nscenario:", r"study.yaml:1:1: name: 'a\\x1b\[2J': .*printable"),
+        ("measured: {}", "\"a\\rb\": {}", r"study.yaml:5:5: vary.demand.a\\rb: 'a\\rb': .*printable"),
+        ("demand:", "\"a\\u202Eb\":", r"study.yaml:4:3: vary.a\\u202eb: 'a\\u202eb': .*printable"),
+        ("controller.horizon: [1", "description: [\"\\uD800\"", r"study.yaml:3:17: vary.description.0: '\\ud800': .*printable"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, folder: Path) -> None:
@@ -231,6 +239,24 @@ def test_parts_that_do_not_fit_are_accepted_and_become_a_row(
     outcome = run_study(read_study(pair / "study.yaml"), pair / "out", workers=0)
     assert (outcome.done, outcome.failed) == (1, 1)
     assert lacking in results(pair / "out")[1]["error"]
+
+
+def test_a_grid_of_too_many_runs_is_refused_before_any_is_tried(folder: Path) -> None:
+    points = ", ".join(f"p{number}: {{}}" for number in range(100))
+    axes = "".join(f"  {name}: {{{points}}}\n" for name in "abcdefghijkl")
+    (folder / "study.yaml").write_text(f"scenario: nowhere.yaml\nvary:\n{axes}")
+    with pytest.raises(ScenarioError, match=f"study.yaml:2:1: vary: makes {10**24:,} runs"):
+        read_study(folder / "study.yaml")
+
+
+def test_the_name_of_the_file_is_a_name_too(folder: Path) -> None:
+    for file, text in (("a\x1b[2J.yaml", GRID), ("b\x07.yaml", TINY)):
+        (folder / file).write_text(text)
+    with pytest.raises(ScenarioError, match=r"name: 'a\\x1b\[2J': .*printable"):
+        read_study(folder / "a\x1b[2J.yaml")
+    (folder / "study.yaml").write_text('scenario: "b\\a.yaml"\nvary: {time.steps: [1]}\n')
+    with pytest.raises(ScenarioError, match=r"study.yaml:1:1: scenario: .*name: 'b\\x07': .*printable"):
+        read_study(folder / "study.yaml")
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "3\n"])
@@ -388,6 +414,29 @@ def test_a_combination_that_is_refused_is_a_row_that_names_the_users_files(folde
     assert refused["error"].endswith(f"{folder / 'demand.csv'}: 4 rows; 6 are needed")
 
 
+def test_a_variant_that_only_one_scenario_has_is_a_row(folder: Path) -> None:
+    (folder / "plain.yaml").write_text(TINY[: TINY.index("variants:")])
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nset: {network.update: {unit: {p: [0, 200]}}}\n"
+        "vary: {scenario: [tiny.yaml, plain.yaml], variant: [null, heavy]}\n"
+    )
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.done, outcome.failed) == (3, 1)
+    assert outcome.failures["scenario=plain.yaml variant=heavy"].endswith(
+        "no variant 'heavy'; known are: none"
+    )
+
+
+def test_an_axis_named_like_a_figure_of_some_rows_is_one_column(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary: {elastic_steps: {few: {}, all: {cost: voltage-deviation}}}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    rows = results(folder / "out")
+    assert [row["status"] for row in rows] == ["done", "error"]
+    assert [row["vary.elastic_steps"] for row in rows] == ["few", "all"]
+
+
 def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nvary: {cost: [economic, {economic: {energy_weight: 1}}]}\n"
@@ -400,14 +449,30 @@ def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
 
 @given(
     st.lists(
-        st.none() | st.booleans() | st.integers(-9, 9) | st.floats(allow_nan=False) | st.text(max_size=3),
+        st.none()
+        | st.booleans()
+        | st.integers(-9, 9)
+        | st.integers()
+        | st.floats(allow_nan=False)
+        | st.text(max_size=3),
         min_size=1,
     )
 )
 def test_a_column_takes_values_of_any_types(values: list[Any]) -> None:
     back = store._column(values).to_pylist()
     mixed = len({float if type(v) is int else type(v) for v in values if v is not None}) > 1
-    assert back == [json.dumps(v) if mixed and v is not None else v for v in values]
+    large = any(isinstance(v, int) and abs(v) > 2**53 for v in values)
+    as_json = [None if v is None else json.dumps(v) for v in values]
+    assert back == as_json if mixed else back == values or (large and back == as_json)
+
+
+def test_integers_beyond_64_bits_are_labels_too(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        f"scenario: tiny.yaml\nvary: {{controller.regularisation: [1, {10**30}]}}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    rows = pq.read_table(folder / "out" / "results.parquet").to_pylist()
+    assert [row["controller.regularisation"] for row in rows] == ["1", str(10**30)]
 
 
 def test_nested_figures_become_columns() -> None:

@@ -14,6 +14,7 @@ renamed, so that a reader needs no lock.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -130,7 +131,12 @@ class Store:
             raise ResultError(f"{path}: there is no such file; 'opfmodel study run' writes it") from None
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ResultError(f"{path}: not a study of opfmodel: {error}") from error
-        made = [_row(labels, key, record) for labels, record, key in pairs]
+        figures = [_figures(key, record) for _, record, key in pairs]
+        taken = {name for each in figures for name in each}
+        made = [
+            {f"vary.{name}" if name in taken else name: label for name, label in labels.items()} | each
+            for (labels, _, _), each in zip(pairs, figures, strict=True)
+        ]
         columns = dict.fromkeys(name for row in made for name in row)
         later = [name for name in columns if name.startswith(("time_", "provenance_"))]
         first = [name for name in columns if name not in later]
@@ -161,7 +167,7 @@ class Store:
         try:
             yield
         except OSError as error:
-            kept = len(list(self._runs.glob("*.json")))
+            kept = len(list(self._runs.glob("*.json"))) if os.path.isdir(self._runs) else 0  # noqa: PTH112 - any text
             raise ResultError(
                 f"{path}: results cannot be written: {error.strerror or error}; "
                 f"the {kept} finished runs in {self.folder} are kept, and the same command goes on from there"
@@ -219,12 +225,10 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
     ]
 
 
-def _row(labels: Mapping[str, Any], key: str, record: Record | None) -> Row:
+def _figures(key: str, record: Record | None) -> Row:
+    """What a row has besides the labels of its run."""
     figures = dict.fromkeys(_COLUMNS) | {"key": key, "status": "waiting"}
-    if record is not None:
-        figures |= {**record.result, **record.times, **record.provenance}
-    named = {f"vary.{name}" if name in figures else name: value for name, value in labels.items()}
-    return {**named, **figures}
+    return figures if record is None else {**figures, **record.result, **record.times, **record.provenance}
 
 
 def _table(rows: Sequence[Row]) -> pa.Table:
@@ -234,10 +238,13 @@ def _table(rows: Sequence[Row]) -> pa.Table:
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """Values of one type as they are; of several types, such as 12 and "all", as JSON."""
+    """Values of one type as they are; of several types, such as 12 and "all", or beyond 64 bits, as JSON."""
     import pyarrow as pa
 
     kinds = {float if type(value) is int else type(value) for value in values if value is not None}
-    if len(kinds) > 1:
-        return pa.array([None if value is None else json.dumps(value) for value in values], pa.string())
-    return pa.array(values, None if kinds else pa.string())
+    if len(kinds) <= 1:
+        try:
+            return pa.array(values, None if kinds else pa.string())
+        except (OverflowError, pa.ArrowInvalid):  # an integer that the column cannot hold exactly
+            pass
+    return pa.array([None if value is None else json.dumps(value) for value in values], pa.string())
