@@ -112,9 +112,9 @@ def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    from opfmodel.errors import CaseWarning, ProfileWarning
+    from opfmodel.errors import CaseWarning, ProfileWarning, ResultWarning
 
-    if issubclass(category, CaseWarning | ProfileWarning):
+    if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
         print(f"warning: {message}", file=sys.stderr)
 
 

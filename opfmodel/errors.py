@@ -19,6 +19,7 @@ __all__ = [
     "ProfileWarning",
     "QuantityError",
     "ResultError",
+    "ResultWarning",
     "ScenarioError",
     "StudyError",
     "nearest",
@@ -133,6 +134,10 @@ class PluginError(OpfmodelError):
 
 class ResultError(OpfmodelError):
     """Results cannot be written, or what is read is not one."""
+
+
+class ResultWarning(UserWarning):
+    """Some of the results that are read cannot be trusted, and are left out."""
 
 
 class ScenarioError(OpfmodelError):

@@ -25,8 +25,9 @@ from conftest import SCENARIOS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opfmodel.errors import ResultError, ScenarioError, StudyError
+from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
 from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
+from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Snapshot
 
 CASE5 = SCENARIOS / "case5-step.yaml"
@@ -492,15 +493,161 @@ def test_every_study_of_the_package_is_valid() -> None:
     assert counts == {"ac-versus-dc": 80, "horizon": 8}
 
 
-def test_a_damaged_record_is_said(folder: Path) -> None:
+def resealed(text: str, **changes: Any) -> str:
+    """A record with other content and the checksum of that."""
+    content = {k: v for k, v in json.loads(text).items() if k != "checksum"}
+    return sealed({**content, **changes})
+
+
+def forged(text: str) -> str:
+    return json.dumps({"key": "zzz", "result": {"status": "done", "cost": -1}, "times": {}, "provenance": {}})
+
+
+def other_cost(text: str) -> str:
+    assert '"cost": 6' in text or '"cost": 7' in text
+    return text.replace('"cost": 6', '"cost": 2').replace('"cost": 7', '"cost": 3')
+
+
+def flipped(text: str) -> str:
+    place = text.index('"status": "done"') + len('"status": "don')
+    return text[:place] + chr(ord(text[place]) ^ 1) + text[place + 1 :]
+
+
+DAMAGE = {
+    "cut": lambda text: text[:50],
+    "empty": lambda text: "",
+    "not JSON": lambda text: "junk",
+    "a list": lambda text: "[1]",
+    "nested deeply": lambda text: "[" * 100_000,
+    "an endless number": lambda text: '{"schema": ' + "9" * 10_000 + "}",
+    "forged": forged,
+    "another cost": other_cost,
+    "a flipped bit": flipped,
+    "no checksum": lambda text: re.sub(r',\n "checksum".*', "\n}", text),
+    "another key": lambda text: resealed(text, key="0" * 32),
+    "no key": lambda text: resealed(text, key=None),
+    "another schema": lambda text: resealed(text, schema=0),
+    "a field more": lambda text: resealed(text, extra=1),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_record_that_is_not_what_was_written_is_repeated_and_reported(damage: str, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
+    before = results(out)
+    records = sorted((out / "runs").iterdir())
+    for record in records[:2]:
+        record.write_text(DAMAGE[damage](record.read_text()))
+    with pytest.warns(ResultWarning) as caught:
+        rows = read_table(out)
+    (warning,) = caught
+    assert "2 records cannot be trusted" in str(warning.message)
+    assert [row["key"] for row in rows] == [row["key"] for row in before]
+    by_key = {row["key"]: row for row in rows}
+    assert [by_key[record.stem]["status"] for record in records] == 2 * ["waiting"] + 4 * ["done"]
+    assert by_key[records[0].stem]["cost"] is None
+    outcome = run_study(study, out, workers=0)
+    assert (outcome.done, outcome.skipped) == (2, 4)
+    (note,) = outcome.notes
+    assert "2 records" in note
+    assert all((record.name in note) == (record in records[:2]) for record in records)
+    assert "\n" not in note
+    assert results(out) == before
+    assert run_study(study, out, workers=0).notes == ()
+
+
+def test_records_of_other_runs_in_their_places_are_not_taken(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    one, other = sorted((out / "runs").iterdir())[:2]
+    first = one.read_text()
+    one.write_text(other.read_text())
+    other.write_text(first)
+    assert run_study(study, out, workers=0).done == 2
+    assert results(out) == before
+
+
+@pytest.mark.parametrize(
+    "put", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.symlink_to("x")]
+)
+def test_a_pipe_or_a_device_in_the_place_of_a_record_is_replaced(put: Any, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    for path in (next((out / "runs").iterdir()), out / "study.json"):
+        path.unlink()
+        put(path)
+    with pytest.raises(ResultError, match=r"study\.json: "):
+        read_table(out)
+    outcome = run_study(study, out, workers=0)
+    assert (outcome.done, outcome.skipped, len(outcome.notes)) == (1, 5, 2)
+    assert results(out) == before
+    assert all(path.is_file() and not path.is_symlink() for path in (out / "runs").iterdir())
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        name
+        for name in DAMAGE
+        if name not in ("another cost", "a flipped bit", "another key", "no key", "a field more")
+    ],
+)
+def test_a_damaged_list_of_runs_is_one_sentence_and_written_anew(damage: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    index = out / "study.json"
+    index.write_text(DAMAGE[damage](index.read_text()))
+    with pytest.raises(ResultError, match=r"study\.json: ") as caught:
+        read_table(out)
+    assert "\n" not in str(caught.value)
+    (note,) = run_study(study, out, workers=0).notes
+    assert "study.json" in note
+    assert results(out) == before
+
+
+@pytest.mark.parametrize(("old", "new"), [('"measured"', '"measurer"'), ('.horizon": 1', '.horizon": 2')])
+def test_changed_labels_in_the_list_of_runs_are_noticed(old: str, new: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    text = (out / "study.json").read_text()
+    assert old in text
+    (out / "study.json").write_text(text.replace(old, new, 1))
+    with pytest.raises(ResultError, match=r"study\.json: the checksum"):
+        read_table(out)
+
+
+@given(
+    content=st.dictionaries(
+        st.text(),
+        st.recursive(
+            st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.dates(),
+            lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+            max_leaves=8,
+        ),
+    )
+)
+def test_whatever_is_sealed_is_read_back(
+    content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = {key: value for key, value in content.items() if key not in ("schema", "checksum")}
+    path = tmp_path_factory.mktemp("sealed") / "file.json"
+    path.write_text(sealed(content), encoding="utf-8")
+    assert repr(unsealed(path)) == repr(json.loads(json.dumps(content, default=str)))
+
+
+def test_the_table_of_a_damaged_study_is_printed_with_a_warning(folder: Path) -> None:
+    out = folder / "out"
+    run_study(read_study(folder / "study.yaml"), out, workers=0)
     record = next((out / "runs").iterdir())
-    record.write_text(record.read_text()[:50])
-    with pytest.raises(ResultError, match=f"{record.name}: not the record of a run; delete it"):
-        run_study(study, out, workers=0)
-    record.unlink()
-    assert run_study(study, out, workers=0).done == 1
+    record.write_text("junk")
+    code, printed, err = finish("table", out, "--json")
+    assert code == 0
+    assert [row["status"] for row in json.loads(printed)["rows"]].count("waiting") == 1
+    assert re.fullmatch(rf"warning: 1 record.*{record.name}.*\n", err)
 
 
 def test_a_folder_without_a_study_is_said(tmp_path: Path) -> None:
