@@ -218,7 +218,7 @@ def run(
         report = check(loaded.network, data, loaded.profiles.named)
         exceeded = _exceeded(report)
         summary |= {"max_violation": report.max_violation, "unchecked": list(report.unchecked)}
-        results.save(data, summary, folder)
+        summary = results.save(data, summary, folder)
         if figures:
             plot.save_figures(data, folder, figures=["system"])
     if json_:
