@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,12 +23,13 @@ from opfmodel.units import scale
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["dataset", "finite", "load", "replace", "save"]
+__all__ = ["dataset", "finite", "load", "remove_temporaries", "replace", "save"]
 
 Array = npt.NDArray[np.float64]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
+_TEMPORARY = re.compile(r"\.(?P<name>.+)\.[0-9]+")  # as replace names a file, with a number of a process
 
 
 def dataset(
@@ -173,21 +175,38 @@ def _digest(path: Path) -> str:
 
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a temporary name, see that it is on the disk, and rename it.
+    """Write a file under a temporary name, flush it to disk, and rename it.
 
     Parameters
     ----------
     write
-        Writes to the path that it is given.
+        Writes to the path that it is given, which does not exist.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
+        temporary.unlink(missing_ok=True)  # of a killed process of the same number, or somebody's link
         write(temporary)
         _sync(temporary)
         temporary.replace(path)
         _sync(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(folder: Path, names: re.Pattern[str]) -> None:
+    """Delete what killed processes were writing by :func:`replace` into a folder that is this process' alone.
+
+    Parameters
+    ----------
+    names
+        The files that are written there; only regular files with the temporary name of such a file
+        are deleted.
+    """
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            match = _TEMPORARY.fullmatch(entry.name)
+            if match and names.fullmatch(match["name"]) and entry.is_file(follow_symlinks=False):
+                Path(entry.path).unlink()
 
 
 def _sync(path: Path) -> None:

@@ -663,6 +663,63 @@ def test_a_folder_that_cannot_be_written_is_said(folder: Path) -> None:
         run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
 
 
+def test_only_own_temporaries_are_deleted(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    key = next((out / "runs").iterdir()).stem
+    own = [out / ".study.json.4711", out / ".results.parquet.4711", out / "runs" / f".{key}.json.4711"]
+    others = [
+        *(out / name for name in (".env", ".study.json.bak", ".other.json.4711", ".study.json.4711.old")),
+        *(
+            out / "runs" / name
+            for name in (".gitignore", ".nfs0001", f".{key}.json.x", ".a.json.4711", f".{key}.json")
+        ),
+    ]
+    for path in (*own, *others):
+        path.write_text("text")
+    far = folder / "far"
+    far.write_text("text")
+    links = [out / ".study.json.4712", out / "runs" / f".{key}.json.4712"]
+    for link in links:
+        link.symlink_to(far)
+    (out / "runs" / f".{key}.json.4713").mkdir()
+    run_study(study, out, workers=0)
+    assert not any(path.exists() for path in own)
+    assert all(path.read_text() == "text" for path in (*others, far))
+    assert all(link.is_symlink() for link in links)
+    assert (out / "runs" / f".{key}.json.4713").is_dir()
+
+
+def test_a_linked_folder_of_records_is_refused_and_left_alone(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    home = folder / "home"
+    home.mkdir()
+    (home / ".profile").write_text("text")
+    out.mkdir()
+    (out / "runs").symlink_to(home)
+    with pytest.raises(ResultError, match="runs: is a symbolic link"):
+        run_study(study, out, workers=0)
+    assert [path.name for path in home.iterdir()] == [".profile"]
+
+
+@pytest.mark.parametrize(
+    "name", ["study.json", "results.parquet", "lock", ".study.json.{pid}", ".results.parquet.{pid}"]
+)
+def test_nothing_is_written_through_a_link(name: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    far = folder / "far"
+    far.write_text("text")
+    out.mkdir()
+    (out / name.format(pid=os.getpid())).symlink_to(far)
+    if name == "lock":
+        with pytest.raises(ResultError, match="out: results cannot be written: "):
+            run_study(study, out, workers=0)
+    else:
+        assert run_study(study, out, workers=0).done == 6
+        assert results(out)
+    assert far.read_text() == "text"
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
 def test_a_folder_without_permission_is_said(folder: Path) -> None:
     (folder / "out").mkdir(mode=0o500)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
-from opfmodel.results import replace
+from opfmodel.results import remove_temporaries, replace
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 __all__ = ["Store", "read_table", "shown_columns", "untrusted"]
 
 Row = dict[str, Any]
+
+_FILES = re.compile(r"study\.json|results\.parquet")
+_RECORDS = re.compile(r"[0-9a-f]{32}\.json")
 
 _MOST_NAMED = 10
 
@@ -64,11 +68,13 @@ class Store:
         StudyError
             Another process holds it.
         ResultError
-            The folder cannot be made or written.
+            The folder cannot be made or written, or its ``runs`` is a symbolic link.
         """
         from filelock import FileLock, Timeout
 
         with self._writing(self.folder):
+            if self._runs.is_symlink():
+                raise ResultError(f"{self._runs}: is a symbolic link; the records need a folder of their own")
             self._runs.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / "lock", timeout=0)
             try:
@@ -78,12 +84,8 @@ class Store:
                     f"{self.folder}: a study is running in this folder{self._owner()}; "
                     "wait until it has ended, or choose another folder"
                 ) from None
-            for left in (
-                *self.folder.glob(".*.json.*"),
-                *self.folder.glob(".*.parquet.*"),
-                *self._runs.glob(".*"),
-            ):
-                left.unlink()  # what a killed process was writing
+            remove_temporaries(self.folder, _FILES)
+            remove_temporaries(self._runs, _RECORDS)
         try:
             yield
         finally:
