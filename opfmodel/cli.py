@@ -119,9 +119,9 @@ def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    from opfmodel.errors import CaseWarning, ProfileWarning
+    from opfmodel.errors import CaseWarning, ProfileWarning, ResultWarning
 
-    if issubclass(category, CaseWarning | ProfileWarning):
+    if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
         _remark(f"warning: {message}")
 
 
@@ -230,7 +230,7 @@ def run(
             "violations": report.as_dict(),
             "unchecked": list(report.unchecked),
         }
-        results.save(data, summary, folder)
+        summary = results.save(data, summary, folder)
         if figures:
             plot.save_figures(data, folder, figures=["system"])
     if json_:

@@ -13,7 +13,7 @@ from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import ScenarioError, name_fault, nearest, shown
 
-__all__ = ["Document", "check_name", "read_document", "validated"]
+__all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -58,8 +58,15 @@ def _laid(base: Place, over: Place) -> Place:
     return over._replace(inside={**base.inside, **both})
 
 
+def check_printable(document: Document, key: Key, name: str) -> None:
+    """Raise :class:`ScenarioError` for a name with characters that cannot be seen."""
+    if fault := name_fault(name):
+        raise document.error(key, f"{name!r}: the name {fault}")
+
+
 def check_name(document: Document, key: Key, name: str) -> None:
     """Raise :class:`ScenarioError` for a name that cannot be that of a folder of results."""
+    check_printable(document, key, name)
     if not name.strip(". ") or set(name) & set("/\\\0"):
         raise document.error(
             key, f"{name!r}: is the name of a folder of results: it cannot be empty, dots, or hold / or \\"

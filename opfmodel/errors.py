@@ -11,6 +11,7 @@ __all__ = [
     "CaseWarning",
     "ComponentError",
     "ConstraintError",
+    "IncompatibleError",
     "ModelError",
     "NetworkError",
     "OpfmodelError",
@@ -19,6 +20,7 @@ __all__ = [
     "ProfileWarning",
     "QuantityError",
     "ResultError",
+    "ResultWarning",
     "ScenarioError",
     "SizeError",
     "StudyError",
@@ -92,7 +94,14 @@ class ProfileWarning(UserWarning):
 
 
 class ModelError(OpfmodelError):
-    """A formulation, objective, device or horizon that do not fit together."""
+    """An option of a formulation, objective, device, plant or horizon breaks a rule."""
+
+
+class IncompatibleError(ModelError):
+    """Parts that are valid by themselves do not fit together: an objective and a formulation, for instance.
+
+    A study keeps such a combination as a failed run; every other error is a mistake in its file.
+    """
 
 
 class QuantityError(ModelError):
@@ -143,6 +152,10 @@ class PluginError(OpfmodelError):
 
 class ResultError(OpfmodelError):
     """Results cannot be written, or what is read is not one."""
+
+
+class ResultWarning(UserWarning):
+    """Some of the results that are read cannot be trusted, and are left out."""
 
 
 class ScenarioError(OpfmodelError):

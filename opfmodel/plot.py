@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from opfmodel.errors import ResultError, nearest
+from opfmodel.results import replace
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,7 +113,7 @@ def save_figures(
     names: Sequence[str] | None = None,
     figures: Iterable[str] = tuple(FIGURES),
 ) -> list[Path]:
-    """Draw figures and write each as PDF and PNG.
+    """Draw figures and write each as PDF and PNG, under a temporary name that is then changed.
 
     Parameters
     ----------
@@ -131,7 +133,7 @@ def save_figures(
             path = folder / f"{name}.{suffix}"
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                figure.savefig(path, dpi=200)
+                replace(path, partial(figure.savefig, dpi=200, format=suffix))
             except OSError as error:
                 raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
             written.append(path)

@@ -27,6 +27,7 @@ from opfmodel.errors import (
     CaseError,
     ComponentError,
     ConstraintError,
+    IncompatibleError,
     ModelError,
     NetworkError,
     OpfmodelError,
@@ -279,15 +280,14 @@ def load_scenario(
         document = document.over(("variants", variant))
     _check_numbers(document, content)
     settings = validated(document, content, _File)
-    if settings.name is not None:
-        check_name(document, ("name",), settings.name)
+    name = document.path.stem if settings.name is None else settings.name
+    check_name(document, ("name",), name)
     for each in settings.variants:
         check_name(document, ("variants", each), each)
     with _located(document, ("network",)):
         declarations = _Declarations(document, settings.network)
-        network = declarations.network(settings.name or document.path.stem)
+        network = declarations.network(name)
         declarations.check(network)
-    name = settings.name or document.path.stem
     cost = _objective(document, ("cost",), settings.cost)
     scenario = Scenario(
         name=name if variant is None else f"{name}:{variant}",
@@ -312,8 +312,11 @@ def load_scenario(
             find(solver, Kind.LINEAR)
     with _located(document, ("controller",)):
         problem = scenario.problem()
+    plant = _plant(document, scenario)
+    # last, and in this order: parts that do not fit together must not hide a mistake
     _check_constraints(document, scenario.constraints, problem)
-    _check_plant(document, scenario)
+    with _located(document, ("forecast",)):
+        check_response(scenario.forecast, plant)
     return scenario
 
 
@@ -658,11 +661,17 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
 def _check_constraints(
     document: Document, constraints: Mapping[str, CustomConstraint], problem: MultiStage
 ) -> None:
-    """Raise an error with the position of a term that is not in the network or not published."""
+    """Raise an error with the position of a term that is not in the network or not published.
+
+    A term that only this formulation does not publish is reported after all others.
+    """
     if not constraints:
         return
-    stage: Any = PhysicalStage(problem.declare(stages=1))
+    with _located(document, ("controller",)):
+        stage: Any = PhysicalStage(problem.declare(stages=1))
+    unpublished: dict[tuple[str, ...], ModelError] = {}
     for name, constraint in constraints.items():
+        missing: dict[tuple[str, ...], ModelError] = {}
         with _in_constraint(document, name):
             linear = constraint.state
             assert isinstance(linear, Linear)
@@ -670,8 +679,13 @@ def _check_constraints(
                 try:
                     linear.term(stage, key)
                 except QuantityError as error:
-                    raise ConstraintError(problem.explain(error), "terms", key) from error
-            linear(stage)
+                    missing["constraints", name, "terms", key] = problem.explain(error)
+            if not missing:
+                linear(stage)
+        unpublished |= missing
+    for where, fault in sorted(unpublished.items(), key=lambda item: isinstance(item[1], IncompatibleError)):
+        with _located(document, where):
+            raise fault
 
 
 @contextmanager
@@ -717,15 +731,14 @@ def _forecast(document: Document, settings: _File) -> Forecast:
         return made
 
 
-def _check_plant(document: Document, scenario: Scenario) -> None:
-    """Raise an error for an option that the plant does not take, or that does not fit the network."""
+def _plant(document: Document, scenario: Scenario) -> Plant:
+    """The plant; an option that it does not take, or that does not fit the network, is an error."""
     with _located(document, ("plant", "mode")):
         plugins.load("plant", scenario.settings.plant.mode)
     with _located(document, ("plant",)):
         plant = scenario.plant()
         plant.check(per_unit(scenario.network))
-    with _located(document, ("forecast",)):
-        check_response(scenario.forecast, plant)
+    return plant
 
 
 def _setpoints(value: Any, scenario: Scenario) -> Setpoints:

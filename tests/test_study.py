@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -24,8 +25,9 @@ from conftest import SCENARIOS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opfmodel.errors import ResultError, ScenarioError, StudyError
+from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
 from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
+from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Snapshot
 
 CASE5 = SCENARIOS / "case5-step.yaml"
@@ -136,6 +138,14 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: there is no such file"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
+        ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*valid integer"),
+        ("controller.horizon: [1", "cost: [{economic: {since: 2020-01-01}}", r"study.yaml:3:10: .*no option 'since'"),
+        ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is varied by"),
+        ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
+        ("scenario:", "name: \"a\\e[2J\"\nscenario:", r"study.yaml:1:1: name: 'a\\x1b\[2J': .*visible characters only"),
+        ("measured: {}", "\"a\\rb\": {}", r"study.yaml:5:5: the key 'a\\rb' has the character .*visible characters only"),
+        ("demand:", "\"a\\u202Eb\":", r"study.yaml:4:3: the key 'a\\u202eb' has the character .*visible characters only"),
+        ("controller.horizon: [1", "description: [\"\\uD800\"", r"study.yaml:3:20: not YAML: found invalid Unicode character"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, folder: Path) -> None:
@@ -146,6 +156,110 @@ def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, 
         read_study(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+# A grid with voltages and a storage, whose objective and plant a study may choose.
+PAIR = """\
+network:
+  buses: {a: {}, b: {}}
+  branches: {line: {from_bus: a, to_bus: b, r: 0.01, x: 0.1}}
+  generators: {unit: {bus: a, p: [0, 100], q: [-50, 50], cost: {c1: 20}}}
+  storages: {cell: {bus: b, energy: 20, power: 5, initial: 10}}
+  loads: {town: {bus: b, p: 50, q: 10}}
+time: {steps: 2}
+controller: {horizon: 2}
+"""
+TOO_FULL = "{state-of-charge-tracking: {share: 3}}"
+NOISY = "{noisy: {deviation: 0.1, seed: 1}}"
+VOLTAGE = "{terms: {bus.vm: 1}, at_most: 6}"  # which a formulation without voltages lacks
+NOBODY = "{mode: power-flow, participation: {nobody: 1}}"
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """A folder with the pair."""
+    (tmp_path / "pair.yaml").write_text(PAIR)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("fixed", "vary", "blamed", "said"),
+    [
+        ("{}", f"{{cost: [economic, {TOO_FULL}]}}", TOO_FULL, "share = 3"),
+        ("{}", f"{{cost: [{TOO_FULL}, economic]}}", TOO_FULL, "share = 3"),
+        ("{}", f"{{weights: {{one: {{}}, two: {{cost: {TOO_FULL}}}}}}}", "two", "share = 3"),
+        (f"{{cost: {TOO_FULL}}}", "{time.steps: [1, 2]}", "set", "share = 3"),
+        ("{}", "{cost: [economic, {economic: {energy_weight: -1}}]}", "{economic", "energy_weight = -1"),
+        ("{}", "{cost: [{linear-quadratic: {Q: {pgg: 1}}}]}", "{linear", "'pgg'"),
+        ("{}", "{cost: [{setpoint-tracking: {setpoints: {unit.pq: 1}}}]}", "{setpoint", "'unit.pq'"),
+        ("{}", f"{{plant: [{{mode: power-flow}}, {NOBODY}]}}", NOBODY, "'nobody'"),
+        ("{}", "{constraints.c: [{terms: {bus.v: 1}, at_most: 1}]}", "{terms", "'v'"),
+        ("{}", "{constraints.c: [{terms: {nobody.vm: 1}, at_most: 1}]}", "{terms", "'nobody'"),
+        ("{}", "{constraints.c: [{terms: {bus.vm: 1}}]}", "{terms", "needs a limit"),
+        # other parts that do not fit hide no mistake
+        (
+            f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
+            "{constraints.b: [{terms: {bus.v: 1}, at_most: 1}]}",
+            "{terms: {bus.v:",
+            "'v'",
+        ),
+        (
+            f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
+            "{constraints.b: [{terms: {generator.p_max: 1}, at_most: 1}]}",
+            "{terms: {generator",
+            "no term is a quantity that is decided",
+        ),
+        (f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}", f"{{plant: [{NOBODY}]}}", NOBODY, "'nobody'"),
+    ],
+)  # fmt: skip
+def test_a_bad_option_is_refused_with_its_place(
+    fixed: str, vary: str, blamed: str, said: str, pair: Path
+) -> None:
+    path, lines = pair / "study.yaml", ["scenario: pair.yaml", f"set: {fixed}", f"vary: {vary}"]
+    path.write_text("\n".join(lines))
+    line = next(n for n, text in enumerate(lines) if blamed in text)
+    with pytest.raises(ScenarioError, match=re.escape(said)) as caught:
+        read_study(path)
+    assert str(caught.value).startswith(f"{path}:{line + 1}:{lines[line].index(blamed) + 1}: ")
+
+
+@pytest.mark.parametrize(
+    ("fixed", "vary", "lacking"),
+    [
+        ("{cost: voltage-deviation}", "{controller.formulation: [ac, dc]}", "vm"),
+        (f"{{constraints.c: {VOLTAGE}}}", "{controller.formulation: [ac, dc]}", "bus.vm"),
+        ("{constraints.c: {terms: {generator.qg: 1}, at_most: 90}}", "{controller.formulation: [ac, dc]}", "generator.qg"),
+        ("{}", f"{{forecast: [perfect, {NOISY}]}}", "power-flow or redispatch"),
+        ("{controller.generator_delay: 1}", "{controller.horizon: [2, 1]}", "at least 2 stages"),
+    ],
+)  # fmt: skip
+def test_parts_that_do_not_fit_are_accepted_and_become_a_row(
+    fixed: str, vary: str, lacking: str, pair: Path
+) -> None:
+    (pair / "study.yaml").write_text(f"scenario: pair.yaml\nset: {fixed}\nvary: {vary}\n")
+    outcome = run_study(read_study(pair / "study.yaml"), pair / "out", workers=0)
+    assert (outcome.done, outcome.failed) == (1, 1)
+    assert lacking in results(pair / "out")[1]["error"]
+
+
+def test_a_grid_of_too_many_runs_is_refused_before_any_is_tried(folder: Path) -> None:
+    points = ", ".join(f"p{number}: {{}}" for number in range(100))
+    axes = "".join(f"  {name}: {{{points}}}\n" for name in "abcdefghijkl")
+    (folder / "study.yaml").write_text(f"scenario: nowhere.yaml\nvary:\n{axes}")
+    with pytest.raises(ScenarioError, match=f"study.yaml:2:1: vary: makes {10**24:,} runs"):
+        read_study(folder / "study.yaml")
+
+
+def test_the_name_of_the_file_is_a_name_too(folder: Path) -> None:
+    for file, text in (("a\x1b[2J.yaml", GRID), ("b\x07.yaml", TINY)):
+        (folder / file).write_text(text)
+    with pytest.raises(ScenarioError, match=r"name: 'a\\x1b\[2J': .*visible characters only"):
+        read_study(folder / "a\x1b[2J.yaml")
+    (folder / "study.yaml").write_text('scenario: "b\\a.yaml"\nvary: {time.steps: [1]}\n')
+    with pytest.raises(
+        ScenarioError, match=r"study.yaml:1:1: scenario: .*name: 'b\\x07': .*visible characters only"
+    ):
+        read_study(folder / "study.yaml")
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "3\n"])
@@ -303,6 +417,29 @@ def test_a_combination_that_is_refused_is_a_row_that_names_the_users_files(folde
     assert refused["error"].endswith(f"{folder / 'demand.csv'}: 4 rows; 6 are needed")
 
 
+def test_a_variant_that_only_one_scenario_has_is_a_row(folder: Path) -> None:
+    (folder / "plain.yaml").write_text(TINY[: TINY.index("variants:")])
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nset: {network.update: {unit: {p: [0, 200]}}}\n"
+        "vary: {scenario: [tiny.yaml, plain.yaml], variant: [null, heavy]}\n"
+    )
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.done, outcome.failed) == (3, 1)
+    assert outcome.failures["scenario=plain.yaml variant=heavy"].endswith(
+        "no variant 'heavy'; known are: none"
+    )
+
+
+def test_an_axis_named_like_a_figure_of_some_rows_is_one_column(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary: {elastic_steps: {few: {}, all: {cost: voltage-deviation}}}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    rows = results(folder / "out")
+    assert [row["status"] for row in rows] == ["done", "error"]
+    assert [row["vary.elastic_steps"] for row in rows] == ["few", "all"]
+
+
 def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nvary: {cost: [economic, {economic: {energy_weight: 1}}]}\n"
@@ -315,14 +452,29 @@ def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
 
 @given(
     st.lists(
-        st.none() | st.booleans() | st.integers(-9, 9) | st.floats(allow_nan=False) | st.text(max_size=3),
+        st.none()
+        | st.booleans()
+        | st.integers(-9, 9)
+        | st.integers()
+        | st.floats(allow_nan=False)
+        | st.text(max_size=3),
         min_size=1,
     )
 )
 def test_a_column_takes_values_of_any_types(values: list[Any]) -> None:
     back = store._column(values).to_pylist()
     mixed = len({float if type(v) is int else type(v) for v in values if v is not None}) > 1
-    assert back == [json.dumps(v) if mixed and v is not None else v for v in values]
+    large = any(isinstance(v, int) and abs(v) > 2**53 for v in values)
+    as_json = [None if v is None else json.dumps(v) for v in values]
+    assert back == as_json if mixed else back == values or (large and back == as_json)
+
+
+def test_integers_beyond_64_bits_are_refused(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        f"scenario: tiny.yaml\nvary: {{controller.regularisation: [1, {10**30}]}}\n"
+    )
+    with pytest.raises(ScenarioError, match="study.yaml:2:39: .*integers of more than 64 bits"):
+        read_study(folder / "study.yaml")
 
 
 def test_nested_figures_become_columns() -> None:
@@ -342,15 +494,161 @@ def test_every_study_of_the_package_is_valid() -> None:
     assert counts == {"ac-versus-dc": 80, "horizon": 8}
 
 
-def test_a_damaged_record_is_said(folder: Path) -> None:
+def resealed(text: str, **changes: Any) -> str:
+    """A record with other content and the checksum of that."""
+    content = {k: v for k, v in json.loads(text).items() if k != "checksum"}
+    return sealed({**content, **changes})
+
+
+def forged(text: str) -> str:
+    return json.dumps({"key": "zzz", "result": {"status": "done", "cost": -1}, "times": {}, "provenance": {}})
+
+
+def other_cost(text: str) -> str:
+    assert '"cost": 6' in text or '"cost": 7' in text
+    return text.replace('"cost": 6', '"cost": 2').replace('"cost": 7', '"cost": 3')
+
+
+def flipped(text: str) -> str:
+    place = text.index('"status": "done"') + len('"status": "don')
+    return text[:place] + chr(ord(text[place]) ^ 1) + text[place + 1 :]
+
+
+DAMAGE = {
+    "cut": lambda text: text[:50],
+    "empty": lambda text: "",
+    "not JSON": lambda text: "junk",
+    "a list": lambda text: "[1]",
+    "nested deeply": lambda text: "[" * 100_000,
+    "an endless number": lambda text: '{"schema": ' + "9" * 10_000 + "}",
+    "forged": forged,
+    "another cost": other_cost,
+    "a flipped bit": flipped,
+    "no checksum": lambda text: re.sub(r',\n "checksum".*', "\n}", text),
+    "another key": lambda text: resealed(text, key="0" * 32),
+    "no key": lambda text: resealed(text, key=None),
+    "another schema": lambda text: resealed(text, schema=0),
+    "a field more": lambda text: resealed(text, extra=1),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_record_that_is_not_what_was_written_is_repeated_and_reported(damage: str, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
+    before = results(out)
+    records = sorted((out / "runs").iterdir())
+    for record in records[:2]:
+        record.write_text(DAMAGE[damage](record.read_text()))
+    with pytest.warns(ResultWarning) as caught:
+        rows = read_table(out)
+    (warning,) = caught
+    assert "2 records cannot be trusted" in str(warning.message)
+    assert [row["key"] for row in rows] == [row["key"] for row in before]
+    by_key = {row["key"]: row for row in rows}
+    assert [by_key[record.stem]["status"] for record in records] == 2 * ["waiting"] + 4 * ["done"]
+    assert by_key[records[0].stem]["cost"] is None
+    outcome = run_study(study, out, workers=0)
+    assert (outcome.done, outcome.skipped) == (2, 4)
+    (note,) = outcome.notes
+    assert "2 records" in note
+    assert all((record.name in note) == (record in records[:2]) for record in records)
+    assert "\n" not in note
+    assert results(out) == before
+    assert run_study(study, out, workers=0).notes == ()
+
+
+def test_records_of_other_runs_in_their_places_are_not_taken(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    one, other = sorted((out / "runs").iterdir())[:2]
+    first = one.read_text()
+    one.write_text(other.read_text())
+    other.write_text(first)
+    assert run_study(study, out, workers=0).done == 2
+    assert results(out) == before
+
+
+@pytest.mark.parametrize(
+    "put", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.symlink_to("x")]
+)
+def test_a_pipe_or_a_device_in_the_place_of_a_record_is_replaced(put: Any, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    for path in (next((out / "runs").iterdir()), out / "study.json"):
+        path.unlink()
+        put(path)
+    with pytest.raises(ResultError, match=r"study\.json: "):
+        read_table(out)
+    outcome = run_study(study, out, workers=0)
+    assert (outcome.done, outcome.skipped, len(outcome.notes)) == (1, 5, 2)
+    assert results(out) == before
+    assert all(path.is_file() and not path.is_symlink() for path in (out / "runs").iterdir())
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        name
+        for name in DAMAGE
+        if name not in ("another cost", "a flipped bit", "another key", "no key", "a field more")
+    ],
+)
+def test_a_damaged_list_of_runs_is_one_sentence_and_written_anew(damage: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    before = results(out)
+    index = out / "study.json"
+    index.write_text(DAMAGE[damage](index.read_text()))
+    with pytest.raises(ResultError, match=r"study\.json: ") as caught:
+        read_table(out)
+    assert "\n" not in str(caught.value)
+    (note,) = run_study(study, out, workers=0).notes
+    assert "study.json" in note
+    assert results(out) == before
+
+
+@pytest.mark.parametrize(("old", "new"), [('"measured"', '"measurer"'), ('.horizon": 1', '.horizon": 2')])
+def test_changed_labels_in_the_list_of_runs_are_noticed(old: str, new: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    text = (out / "study.json").read_text()
+    assert old in text
+    (out / "study.json").write_text(text.replace(old, new, 1))
+    with pytest.raises(ResultError, match=r"study\.json: the checksum"):
+        read_table(out)
+
+
+@given(
+    content=st.dictionaries(
+        st.text(),
+        st.recursive(
+            st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.dates(),
+            lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+            max_leaves=8,
+        ),
+    )
+)
+def test_whatever_is_sealed_is_read_back(
+    content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = {key: value for key, value in content.items() if key not in ("schema", "checksum")}
+    path = tmp_path_factory.mktemp("sealed") / "file.json"
+    path.write_text(sealed(content), encoding="utf-8")
+    assert repr(unsealed(path)) == repr(json.loads(json.dumps(content, default=str)))
+
+
+def test_the_table_of_a_damaged_study_is_printed_with_a_warning(folder: Path) -> None:
+    out = folder / "out"
+    run_study(read_study(folder / "study.yaml"), out, workers=0)
     record = next((out / "runs").iterdir())
-    record.write_text(record.read_text()[:50])
-    with pytest.raises(ResultError, match=f"{record.name}: not the record of a run; delete it"):
-        run_study(study, out, workers=0)
-    record.unlink()
-    assert run_study(study, out, workers=0).done == 1
+    record.write_text("junk")
+    code, printed, err = finish("table", out, "--json")
+    assert code == 0
+    assert [row["status"] for row in json.loads(printed)["rows"]].count("waiting") == 1
+    assert re.fullmatch(rf"warning: 1 record.*{record.name}.*\n", err)
 
 
 def test_a_folder_without_a_study_is_said(tmp_path: Path) -> None:
@@ -364,6 +662,63 @@ def test_a_folder_that_cannot_be_written_is_said(folder: Path) -> None:
     (folder / "out").write_text("in the way")
     with pytest.raises(ResultError, match="out: results cannot be written: "):
         run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+
+
+def test_only_own_temporaries_are_deleted(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    run_study(study, out, workers=0)
+    key = next((out / "runs").iterdir()).stem
+    own = [out / ".study.json.4711", out / ".results.parquet.4711", out / "runs" / f".{key}.json.4711"]
+    others = [
+        *(out / name for name in (".env", ".study.json.bak", ".other.json.4711", ".study.json.4711.old")),
+        *(
+            out / "runs" / name
+            for name in (".gitignore", ".nfs0001", f".{key}.json.x", ".a.json.4711", f".{key}.json")
+        ),
+    ]
+    for path in (*own, *others):
+        path.write_text("text")
+    far = folder / "far"
+    far.write_text("text")
+    links = [out / ".study.json.4712", out / "runs" / f".{key}.json.4712"]
+    for link in links:
+        link.symlink_to(far)
+    (out / "runs" / f".{key}.json.4713").mkdir()
+    run_study(study, out, workers=0)
+    assert not any(path.exists() for path in own)
+    assert all(path.read_text() == "text" for path in (*others, far))
+    assert all(link.is_symlink() for link in links)
+    assert (out / "runs" / f".{key}.json.4713").is_dir()
+
+
+def test_a_linked_folder_of_records_is_refused_and_left_alone(folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    home = folder / "home"
+    home.mkdir()
+    (home / ".profile").write_text("text")
+    out.mkdir()
+    (out / "runs").symlink_to(home)
+    with pytest.raises(ResultError, match="runs: is a symbolic link"):
+        run_study(study, out, workers=0)
+    assert [path.name for path in home.iterdir()] == [".profile"]
+
+
+@pytest.mark.parametrize(
+    "name", ["study.json", "results.parquet", "lock", ".study.json.{pid}", ".results.parquet.{pid}"]
+)
+def test_nothing_is_written_through_a_link(name: str, folder: Path) -> None:
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    far = folder / "far"
+    far.write_text("text")
+    out.mkdir()
+    (out / name.format(pid=os.getpid())).symlink_to(far)
+    if name == "lock":
+        with pytest.raises(ResultError, match="out: results cannot be written: "):
+            run_study(study, out, workers=0)
+    else:
+        assert run_study(study, out, workers=0).done == 6
+        assert results(out)
+    assert far.read_text() == "text"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.components import Storage
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.model import Device, Model
 from opfmodel.network import Array, Index, Table
 from solvers import Expression, Rows
@@ -61,7 +61,7 @@ class StorageDevice(Device):
         gone = np.flatnonzero(kept < 0.0)
         if gone.size:
             first = gone[0]
-            raise ModelError(
+            raise IncompatibleError(
                 f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
                 f"there is within a stage of {step:g} h; it must be at most {1.0 / step:g} per hour"
             )

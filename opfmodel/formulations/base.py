@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.model import Model, Soft
 from opfmodel.network import Array, Index, PerUnitNetwork, Table
 from solvers import Expression, Solution
@@ -187,7 +187,7 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
     wide = np.flatnonzero(high - low > np.pi)
     if wide.size:
         first = wide[0]
-        raise ModelError(
+        raise IncompatibleError(
             f"{branch.names[members[first]]}: angle = ({np.rad2deg(low[first, 0]):g}, "
             f"{np.rad2deg(high[first, 0]):g}): limits "
             "more than 180 degrees apart cannot be stated in products of voltages; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
 from opfmodel.model import Model
 from opfmodel.network import Array, PerUnitNetwork
@@ -64,7 +64,7 @@ class DCMatpower(DC):
         branch = network.branch
         without = np.flatnonzero(branch.x == 0.0)
         if without.size:
-            raise ModelError(
+            raise IncompatibleError(
                 f"{branch.names[without[0]]}: x = 0: formulation {self.name!r} divides by it; "
                 "formulation 'dc' does not"
             )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import BUILT_IN
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
@@ -402,13 +402,13 @@ class Model:
     def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity, so that objectives and constraints can use it and plans report it."""
         if name in self.published:
-            raise ModelError(f"two quantities are named {name!r}")
+            raise IncompatibleError(f"two quantities are named {name!r}")
         self.published[name] = Published(kind, unit, description, values)
 
     def report(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity for results alone: objectives and constraints do not see it."""
         if name in self.published or name in self.reported:
-            raise ModelError(f"two quantities are named {name!r}")
+            raise IncompatibleError(f"two quantities are named {name!r}")
         self.reported[name] = Published(kind, unit, description, values)
 
     def field(self, kind: str, field: str) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.model import Stage
 from opfmodel.network import PerUnitNetwork
 from opfmodel.objectives.checks import not_negative
@@ -100,14 +100,14 @@ class WeightedSum(Objective):
 
         Raises
         ------
-        ModelError
+        IncompatibleError
             Two parts want different numbers in the same field.
         """
         merged: dict[tuple[str, str], Array] = {}
         for _, part in self.parts:
             for key, values in part.series(network).items():
                 if key in merged and not np.array_equal(merged[key], values, equal_nan=True):
-                    raise ModelError(f"two objectives of a sum have different numbers for {key[1]!r}")
+                    raise IncompatibleError(f"two objectives of a sum have different numbers for {key[1]!r}")
                 merged[key] = values
         return merged
 

@@ -14,7 +14,14 @@ import numpy.typing as npt
 from opfmodel import plugins
 from opfmodel.components import Network
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ConstraintError, ModelError, PluginError, QuantityError, name_fault
+from opfmodel.errors import (
+    ConstraintError,
+    IncompatibleError,
+    ModelError,
+    PluginError,
+    QuantityError,
+    name_fault,
+)
 from opfmodel.formulations.base import Formulation
 from opfmodel.memory import check_memory, problem_bytes
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
@@ -331,22 +338,50 @@ class MultiStage:
     def _check_needs(self, model: Model) -> None:
         missing = [name for name in self.objective.needs if not model.has(name)]
         if missing:
-            able = _publishing(missing)
-            raise ModelError(
+            able = self._publishing(missing)
+            raise IncompatibleError(
                 f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
                 f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
                 + (f"; formulations that publish it: {', '.join(able)}" if able else "")
             )
 
-    def explain(self, error: QuantityError) -> str:
-        """What to tell somebody whose constraint uses a quantity that is not published here."""
-        able = _publishing([error.quantity])
-        if not able:
-            return str(error)
-        return (
+    def explain(self, error: QuantityError) -> ModelError:
+        """What is wrong with a constraint that uses a quantity which is not published here.
+
+        An :class:`IncompatibleError` where other formulations publish it, else the error itself.
+        """
+        able = self._publishing([error.quantity])
+        if not able or self.formulation.name in able:
+            return error
+        return IncompatibleError(
             f"formulation {self.formulation.name!r} does not publish {error.kind}.{error.quantity}; "
             f"formulations that do: {', '.join(able)}"
         )
+
+    def _publishing(self, quantities: list[str]) -> list[str]:
+        """Formulations that, with the devices of this network, publish some quantities."""
+        of_devices = {reactive: self._of_devices(reactive) for reactive in (False, True)}
+        able = []
+        for name, plugin in plugins.plugins("formulation").items():
+            try:
+                known = plugin.load()
+            except PluginError:
+                continue  # "opfmodel list" reports it
+            published = {
+                *getattr(known, "publishes", ()),
+                *of_devices[bool(getattr(known, "reactive", True))],
+            }
+            if published.issuperset(quantities):
+                able.append(name)
+        return able
+
+    def _of_devices(self, reactive: bool) -> set[str]:
+        """What the devices publish with formulations that have reactive power, or that have none."""
+        zones = np.arange(len(self.arrays.bus))
+        model = Model(self.arrays, self.horizon, self.step, reactive=reactive, zones=zones)
+        for device in self.devices:
+            model.connect(device)
+        return set(model.published)
 
     def _minimize(self, model: Model) -> None:
         build = model.build
@@ -361,9 +396,9 @@ class MultiStage:
         try:
             constraint.declare(model)
         except QuantityError as error:
-            raise ModelError(f"constraint {constraint.name!r}: {self.explain(error)}") from error
+            raise _of_constraint(constraint.name, self.explain(error)) from error
         except (ModelError, SolverError) as error:
-            raise ModelError(f"constraint {constraint.name!r}: {error}") from error
+            raise _of_constraint(constraint.name, error) from error
 
     # Solving -----------------------------------------------------------------------------
 
@@ -498,13 +533,7 @@ def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[
     ]
 
 
-def _publishing(quantities: list[str]) -> list[str]:
-    """Formulations that publish some quantities."""
-    able = []
-    for name, plugin in plugins.plugins("formulation").items():
-        try:
-            if set(quantities) <= set(getattr(plugin.load(), "publishes", ())):
-                able.append(name)
-        except PluginError:
-            continue  # "opfmodel list" reports it
-    return able
+def _of_constraint(name: str, error: Exception) -> ModelError:
+    """The error of a constraint with its name in front."""
+    kind = IncompatibleError if isinstance(error, IncompatibleError) else ModelError
+    return kind(f"constraint {name!r}: {error}")

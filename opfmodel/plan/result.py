@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import shortages
 from opfmodel.network import PerUnitNetwork
@@ -161,7 +161,7 @@ class Plan:
             elif state.role == "stock" or not committed:
                 values = self.solution.value(name)[:, 0]
             elif self.problem.horizon == 1:
-                raise ModelError("with generator_delay = 1 a receding horizon needs at least 2 stages")
+                raise IncompatibleError("with generator_delay = 1 a receding horizon needs at least 2 stages")
             else:
                 values = self.solution.value(name)[:, 1]
             out[state.name] = values * scale(state.unit, self.network.base_mva)

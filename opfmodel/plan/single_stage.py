@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.components import Generator, Network, Storage
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.network import per_unit
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
@@ -135,7 +135,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
         )
         carried = [state for state in alone.model.states.values() if state.role == "stock"]
         if stages > 1 and carried:
-            raise ModelError(
+            raise IncompatibleError(
                 f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "
                 "they are for grids whose only stores are storages"
             )

@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from typing import Any
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.memory import check_memory, run_bytes
 from opfmodel.objectives.base import Objective
@@ -110,9 +110,9 @@ def simulate(
 
 
 def check_response(forecast: Forecast | None, plant: Plant) -> None:
-    """Raise :class:`ModelError` if plans for demand that does not come would be taken for what happens."""
+    """Raise :class:`IncompatibleError` if plans for demand that does not come would count as what happens."""
     if plant.needs_perfect_forecast and not (forecast is None or forecast.perfect):
-        raise ModelError(
+        raise IncompatibleError(
             f"forecast {type(forecast).__name__} with {type(plant).__name__}: the balance would not hold; "
             "an imperfect forecast needs a plant that responds: power-flow or redispatch"
         )

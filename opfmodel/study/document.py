@@ -6,21 +6,23 @@ import itertools
 import json
 import math
 from collections import ChainMap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from opfmodel.documents import Document, check_name, read_document, validated
-from opfmodel.errors import ModelError, ScenarioError
+from opfmodel.documents import Document, check_name, check_printable, read_document, validated
+from opfmodel.errors import IncompatibleError, ScenarioError
 from opfmodel.scenario import load_scenario
 
 __all__ = ["Axis", "Study", "Variation", "read_study"]
 
 Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
+
+_MOST_RUNS = 100_000  # each has a record and a row
 
 
 class _File(BaseModel):
@@ -95,6 +97,11 @@ class Study:
 
     def __len__(self) -> int:
         """Number of runs."""
+        return self.runs
+
+    @property
+    def runs(self) -> int:
+        """Number of runs; it can be larger than what ``len`` may return."""
         return math.prod(len(axis.labels) for axis in self.axes)
 
     def variations(self) -> Iterator[Variation]:
@@ -119,7 +126,7 @@ class Study:
 def read_study(path: str | Path) -> Study:
     """Read a study file and try every point of every axis, the other axes at their first.
 
-    Runs whose parts do not fit together (:class:`ModelError`: an objective that needs what a
+    Runs whose parts do not fit together (:class:`IncompatibleError`: an objective that needs what a
     formulation lacks) are accepted: they become failed rows of the table.
 
     Raises
@@ -134,19 +141,21 @@ def read_study(path: str | Path) -> Study:
     if "network" in document.content:
         raise document.error(("network",), "this is a scenario; 'opfmodel run' runs it")
     file = validated(document, document.content, _File)
-    if file.name is not None:
-        check_name(document, ("name",), file.name)
     for key in ("scenario", "variant"):
         if key in file.set:
             raise document.error(("set", key), "is a key of the study itself; write it outside 'set'")
     base = {"scenario": file.scenario, "variant": file.variant, **file.set}
     axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
     for one, other in itertools.combinations(axes, 2):
-        for key in sorted(one.keys & other.keys):
+        for key in sorted(_common(one, other)):
             raise document.error(("vary", other.name), f"{key!r} is varied by {one.name!r} already")
     if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
-    study = Study(file.name or document.path.stem, document.path, base, axes)
+    name = document.path.stem if file.name is None else file.name
+    check_name(document, ("name",), name)
+    study = Study(name, document.path, base, axes)
+    if study.runs > _MOST_RUNS:
+        raise document.error(("vary",), f"makes {study.runs:,} runs; a study has at most {_MOST_RUNS:,}")
     _check(document, study)
     return study
 
@@ -166,8 +175,10 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         raise document.error(key, "must be a list of values, or a mapping from names to keys and values")
     if not labels:
         raise document.error(key, "needs at least one value")
+    check_printable(document, key, name)
     positions = tuple((*key, place) for place in places)
     for number, (label, bundle) in enumerate(zip(labels, changes, strict=True)):
+        check_printable(document, positions[number], str(label))
         if not isinstance(bundle, dict):
             raise document.error(positions[number], "must be a mapping from dotted keys to values")
         if (type(label), label) in [(type(other), other) for other in labels[:number]]:
@@ -176,8 +187,35 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
 
 
 def _label(value: Any) -> Any:
-    """A number, text or None as it is; anything else as JSON."""
-    return value if isinstance(value, str | int | float | None) else json.dumps(value)
+    """A number, text or None as it is; a mapping or list as JSON; anything else, such as a date, as text."""
+    if isinstance(value, Mapping | list):
+        return json.dumps(value, default=str)
+    return value if isinstance(value, str | int | float | None) else str(value)
+
+
+def _common(one: Axis, other: Axis) -> set[str]:
+    """Keys that both axes set, or that one sets within a mapping or value that the other sets."""
+    ends = [
+        {
+            end
+            for changes in axis.changes
+            for key, value in changes.items()
+            for end in _ends(key.split("."), value)
+        }
+        for axis in (one, other)
+    ]
+    starts = [{end[:length] for end in of for length in range(1, len(end) + 1)} for of in ends]
+    within = (ends[0] & starts[1]) | (ends[1] & starts[0])
+    return (one.keys & other.keys) | {".".join(key) for key in within}
+
+
+def _ends(path: Sequence[str], value: Any) -> Iterator[tuple[str, ...]]:
+    """The paths of keys to what a value sets: itself, or what stands in its mappings."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _ends([*path, key], inner)
+    else:
+        yield tuple(path)
 
 
 def _check(document: Document, study: Study) -> None:
@@ -216,5 +254,5 @@ def _refusal(variation: Variation) -> ScenarioError | None:
     try:
         load_scenario(variation.scenario, variation.variant, variation.overrides)
     except ScenarioError as error:
-        return None if isinstance(error.__cause__, ModelError) else error
+        return None if isinstance(error.__cause__, IncompatibleError) else error
     return None

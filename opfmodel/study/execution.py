@@ -85,6 +85,7 @@ def failure(specification: Specification, error: BaseException, seconds: float |
     """The record of a run that ended with an exception."""
     owned = isinstance(error, OpfmodelError | SolverError)
     message = str(error) if owned else f"{type(error).__name__}: {error}"
+    message = message.encode("utf-8", "backslashreplace").decode()  # file names can be any bytes
     detail = {} if owned else {"provenance_traceback": "".join(traceback.format_exception(error))}
     return Record(
         specification.key,

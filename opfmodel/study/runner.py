@@ -17,7 +17,7 @@ from opfmodel.study.execution import Record
 from opfmodel.study.progress import Watcher, described, live
 from opfmodel.study.provenance import machine, revision, versions
 from opfmodel.study.specification import Snapshot, Specification
-from opfmodel.study.store import Store
+from opfmodel.study.store import Store, untrusted
 from opfmodel.study.workers import check_crew, in_this_process, on_cluster, on_local_cluster
 
 __all__ = ["Outcome", "run_study"]
@@ -119,8 +119,10 @@ def run_study(
         snapshot = Snapshot()
         runs = snapshot.specifications(study)
         options = {"workers": workers, "scheduler": scheduler, "memory": memory, "retry": retry}
+        there, faults = store.records(run.key for run in runs)
+        notes = _notes(store.index_fault(), faults)
         store.begin(runs, {**_about(study), "options": options})
-        missing = _missing(store, runs, retry)
+        missing = _missing(runs, there, retry)
         made: set[str] = set()
         interrupted = False
         shown = live(study.name, len(missing)) if progress and missing else nullcontext(Watcher())
@@ -136,14 +138,27 @@ def run_study(
                 store.write_table()
                 raise
         store.write_table()
-        return _outcome(store, runs, made, snapshot, interrupted, time.perf_counter() - began)
+        notes += [
+            f"{path} changed after the study had read it; the table is of what was read, "
+            "and the same command brings it up to date"
+            for path in snapshot.changed()
+        ]
+        return _outcome(store, runs, made, notes, interrupted, time.perf_counter() - began)
 
 
-def _missing(store: Store, runs: list[Specification], retry: str | None) -> list[Specification]:
+def _notes(index_fault: str | None, faults: list[str]) -> list[str]:
+    """What to tell of files in the folder that are not what had been written."""
+    notes = [] if index_fault is None else [f"{index_fault}; it was written anew"]
+    return [*notes, f"{untrusted(faults)}; their runs are repeated"] if faults else notes
+
+
+def _missing(
+    runs: list[Specification], records: Mapping[str, Record], retry: str | None
+) -> list[Specification]:
     """The runs to make, each key once."""
     missing = []
     for key, run in {run.key: run for run in runs}.items():
-        record = store.read(key)
+        record = records.get(key)
         if record is None or retry == "all" or (retry == "failed" and record.failed):
             missing.append(run)
     return missing
@@ -187,11 +202,12 @@ def _outcome(
     store: Store,
     runs: list[Specification],
     made: set[str],
-    snapshot: Snapshot,
+    notes: list[str],
     interrupted: bool,
     seconds: float,
 ) -> Outcome:
-    records = [(run, store.read(run.key)) for run in runs]
+    found, _ = store.records(run.key for run in runs)
+    records = [(run, found.get(run.key)) for run in runs]
     failures = {
         described(run.labels): str(r.result["error"]) for run, r in records if r is not None and r.failed
     }
@@ -207,9 +223,5 @@ def _outcome(
         seconds=seconds,
         table=store.table,
         failures=failures,
-        notes=tuple(
-            f"{path} changed after the study had read it; the table is of what was read, "
-            "and the same command brings it up to date"
-            for path in snapshot.changed()
-        ),
+        notes=tuple(notes),
     )

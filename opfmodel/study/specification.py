@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from opfmodel.data.files import read_bytes
 from opfmodel.documents import Document, read_document
 from opfmodel.errors import ScenarioError
 from opfmodel.scenario import laid_over
@@ -119,7 +120,10 @@ class Snapshot:
             self._file(path)
             self._documents[path] = read_document(path)
         document = self._documents[path]
-        content = laid_over(document, variation.variant, variation.overrides)
+        try:
+            content = laid_over(document, variation.variant, variation.overrides)
+        except ScenarioError:  # refused as a combination: the run will fail of it
+            content = {"refused": {"scenario": document.content, "variant": variation.variant}}
         content = {k: v for k, v in content.items() if k not in _WORDS}
         return Specification(
             labels=variation.labels,
@@ -149,10 +153,7 @@ class Snapshot:
 
     def _file(self, path: Path) -> bytes:
         if path not in self._files:
-            try:
-                self._files[path] = path.read_bytes()
-            except OSError as error:
-                raise ScenarioError(f"{path}: cannot be read: {error.strerror or error}") from error
+            self._files[path] = read_bytes(path, ScenarioError)
         return self._files[path]
 
 
@@ -175,6 +176,6 @@ def _tables(folder: Path) -> list[Path]:
 
 def _holds(path: Path, content: bytes) -> bool:
     try:
-        return path.read_bytes() == content
-    except OSError:
+        return read_bytes(path, ScenarioError) == content
+    except ScenarioError:
         return False

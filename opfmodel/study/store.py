@@ -8,29 +8,39 @@
 =====================  =========================================================================
 
 Only the process that holds the lock writes. Every file is written whole under a temporary name and
-renamed, so that a reader needs no lock.
+renamed, so that a reader needs no lock. The JSON files have a checksum, and a record the key of its
+name; what has not is not trusted, and the run counts as not made.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import os
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from opfmodel.errors import ResultError, StudyError, nearest
-from opfmodel.results import replace
+from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
+from opfmodel.results import remove_temporaries, replace
 from opfmodel.study.execution import Record
+from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Store", "read_table", "shown_columns"]
+__all__ = ["Store", "read_table", "shown_columns", "untrusted"]
 
 Row = dict[str, Any]
+
+_FILES = re.compile(r"study\.json|results\.parquet")
+_RECORDS = re.compile(r"[0-9a-f]{32}\.json")
+
+_MOST_NAMED = 10
 
 # The first columns after those that vary, there even while no run has finished.
 _COLUMNS = ("key", "status", "termination", "error", "cost", "steps", "max_violation", "iterations")
@@ -58,11 +68,13 @@ class Store:
         StudyError
             Another process holds it.
         ResultError
-            The folder cannot be made or written.
+            The folder cannot be made or written, or its ``runs`` is a symbolic link.
         """
         from filelock import FileLock, Timeout
 
         with self._writing(self.folder):
+            if self._runs.is_symlink():
+                raise ResultError(f"{self._runs}: is a symbolic link; the records need a folder of their own")
             self._runs.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / "lock", timeout=0)
             try:
@@ -72,12 +84,8 @@ class Store:
                     f"{self.folder}: a study is running in this folder{self._owner()}; "
                     "wait until it has ended, or choose another folder"
                 ) from None
-            for left in (
-                *self.folder.glob(".*.json.*"),
-                *self.folder.glob(".*.parquet.*"),
-                *self._runs.glob(".*"),
-            ):
-                left.unlink()  # what a killed process was writing
+            remove_temporaries(self.folder, _FILES)
+            remove_temporaries(self._runs, _RECORDS)
         try:
             yield
         finally:
@@ -86,7 +94,7 @@ class Store:
     def begin(self, specifications: Sequence[Specification], about: Mapping[str, Any]) -> None:
         """Write down which runs there are and who makes them."""
         rows = [{"key": s.key, "labels": s.labels} for s in specifications]
-        self._write(self.folder / "study.json", {**about, "runs": rows})
+        self._write(self._index, {**about, "runs": rows})
 
     def write(self, record: Record) -> None:
         """Keep the record of a run.
@@ -104,45 +112,91 @@ class Store:
         Raises
         ------
         ResultError
-            The file is there but is no record.
+            What is there is not what was written for this key.
         """
         path = self._record(key)
-        try:
-            return Record(**json.loads(path.read_text(encoding="utf-8")))
-        except FileNotFoundError:
+        if not os.path.lexists(path):
             return None
-        except (OSError, ValueError, TypeError) as error:
-            raise ResultError(f"{path}: not the record of a run; delete it to run again: {error}") from error
+        content = unsealed(path)
+        if content.get("key") != key:
+            raise ResultError(f"{path}: the key inside is not that of its name")
+        try:
+            return Record(**content)
+        except TypeError as error:
+            raise ResultError(f"{path}: not the record of a run: {error}") from error
 
-    def rows(self) -> list[Row]:
-        """A row per run of the study as last started; runs without a record have the status ``waiting``.
+    def records(self, keys: Iterable[str]) -> tuple[dict[str, Record], list[str]]:
+        """The records of runs by key, and why others that are there cannot be trusted."""
+        found, faults = {}, []
+        for key in dict.fromkeys(keys):
+            try:
+                record = self.read(key)
+            except ResultError as error:
+                faults.append(str(error))
+                continue
+            if record is not None:
+                found[key] = record
+        return found, faults
+
+    def runs(self) -> list[tuple[Mapping[str, Any], str]]:
+        """Labels and key of every run of the study as last started.
 
         Raises
         ------
         ResultError
-            The folder holds no study, or a damaged one.
+            The folder holds no study, or what is there is not what was written.
         """
-        path = self.folder / "study.json"
+        if not os.path.lexists(self._index):
+            raise ResultError(f"{self._index}: there is no such file; 'opfmodel study run' writes it")
+        content = unsealed(self._index)
         try:
-            runs = json.loads(path.read_text(encoding="utf-8"))["runs"]
-            pairs = [(run["labels"], self.read(run["key"]), run["key"]) for run in runs]
-        except FileNotFoundError:
-            raise ResultError(f"{path}: there is no such file; 'opfmodel study run' writes it") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ResultError(f"{path}: not a study of opfmodel: {error}") from error
-        made = [_row(labels, key, record) for labels, record, key in pairs]
+            return [(run["labels"], run["key"]) for run in content["runs"]]
+        except (KeyError, TypeError) as error:
+            raise ResultError(f"{self._index}: not a study of opfmodel: {error}") from error
+
+    def index_fault(self) -> str | None:
+        """Why the list of runs cannot be trusted, if there is one that cannot."""
+        if os.path.lexists(self._index):
+            try:
+                self.runs()
+            except ResultError as error:
+                return str(error)
+        return None
+
+    def rows(self) -> tuple[list[Row], list[str]]:
+        """A row per run of the study as last started, and why records cannot be trusted.
+
+        Runs without a record that can be trusted have the status ``waiting``.
+
+        Raises
+        ------
+        ResultError
+            As for :meth:`runs`.
+        """
+        runs = self.runs()
+        records, faults = self.records(key for _, key in runs)
+        figures = [_figures(key, records.get(key)) for _, key in runs]
+        taken = {name for each in figures for name in each}
+        made = [
+            {f"vary.{name}" if name in taken else name: label for name, label in labels.items()} | each
+            for (labels, _), each in zip(runs, figures, strict=True)
+        ]
         columns = dict.fromkeys(name for row in made for name in row)
         later = [name for name in columns if name.startswith(("time_", "provenance_"))]
         first = [name for name in columns if name not in later]
-        return [{name: row.get(name) for name in (*first, *later)} for row in made]
+        return [{name: row.get(name) for name in (*first, *later)} for row in made], faults
 
     def write_table(self) -> None:
         """Write the table of all runs."""
         import pyarrow.parquet as pq
 
-        table = _table(self.rows())
+        table = _table(self.rows()[0])
         with self._writing(self.table):
             replace(self.table, lambda path: pq.write_table(table, path))
+
+    @property
+    def _index(self) -> Path:
+        return self.folder / "study.json"
 
     @property
     def _runs(self) -> Path:
@@ -152,7 +206,7 @@ class Store:
         return self._runs / f"{key}.json"
 
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
-        text = json.dumps(content, indent=1, default=str) + "\n"
+        text = sealed(content)
         with self._writing(path):
             replace(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
@@ -161,7 +215,7 @@ class Store:
         try:
             yield
         except OSError as error:
-            kept = len(list(self._runs.glob("*.json")))
+            kept = len(list(self._runs.glob("*.json"))) if os.path.isdir(self._runs) else 0  # noqa: PTH112 - any text
             raise ResultError(
                 f"{path}: results cannot be written: {error.strerror or error}; "
                 f"the {kept} finished runs in {self.folder} are kept, and the same command goes on from there"
@@ -172,14 +226,16 @@ class Store:
     def _owner(self) -> str:
         """Who said last that he works here."""
         try:
-            about = json.loads((self.folder / "study.json").read_text(encoding="utf-8"))
+            about = unsealed(self._index)
             return f" (process {about['process']} on {about['machine']['host']}, since {about['started']})"
-        except (OSError, ValueError, KeyError):
+        except (ResultError, KeyError, TypeError):
             return ""  # it has not come so far as to say so
 
 
 def read_table(folder: str | Path) -> list[Row]:
     """The rows of a study's table, finished or not, from the records in its folder.
+
+    A :class:`ResultWarning` names the records that cannot be trusted; their runs are ``waiting``.
 
     Returns
     -------
@@ -192,7 +248,17 @@ def read_table(folder: str | Path) -> list[Row]:
     ResultError
         The folder holds no study.
     """
-    return Store(Path(folder)).rows()
+    rows, faults = Store(Path(folder)).rows()
+    if faults:
+        warnings.warn(f"{untrusted(faults)}; their runs are shown as waiting", ResultWarning, stacklevel=2)
+    return rows
+
+
+def untrusted(faults: Sequence[str]) -> str:
+    """How many records cannot be trusted, and the first of them with what is wrong."""
+    more = len(faults) - _MOST_NAMED
+    named = "; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+    return f"{len(faults)} record{'s' * (len(faults) > 1)} cannot be trusted ({named})"
 
 
 def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> list[str]:
@@ -219,12 +285,10 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
     ]
 
 
-def _row(labels: Mapping[str, Any], key: str, record: Record | None) -> Row:
+def _figures(key: str, record: Record | None) -> Row:
+    """What a row has besides the labels of its run."""
     figures = dict.fromkeys(_COLUMNS) | {"key": key, "status": "waiting"}
-    if record is not None:
-        figures |= {**record.result, **record.times, **record.provenance}
-    named = {f"vary.{name}" if name in figures else name: value for name, value in labels.items()}
-    return {**named, **figures}
+    return figures if record is None else {**figures, **record.result, **record.times, **record.provenance}
 
 
 def _table(rows: Sequence[Row]) -> pa.Table:
@@ -234,10 +298,13 @@ def _table(rows: Sequence[Row]) -> pa.Table:
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """Values of one type as they are; of several types, such as 12 and "all", as JSON."""
+    """Values of one type as they are; of several types, such as 12 and "all", or beyond 64 bits, as JSON."""
     import pyarrow as pa
 
     kinds = {float if type(value) is int else type(value) for value in values if value is not None}
-    if len(kinds) > 1:
-        return pa.array([None if value is None else json.dumps(value) for value in values], pa.string())
-    return pa.array(values, None if kinds else pa.string())
+    if len(kinds) <= 1:
+        try:
+            return pa.array(values, None if kinds else pa.string())
+        except (OverflowError, pa.ArrowInvalid):  # an integer that the column cannot hold exactly
+            pass
+    return pa.array([None if value is None else json.dumps(value) for value in values], pa.string())

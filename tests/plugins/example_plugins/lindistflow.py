@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.errors import ModelError
+from opfmodel.errors import IncompatibleError
 from opfmodel.formulations import Formulation
 from opfmodel.formulations.base import publish_flows, shunts
 from opfmodel.model import Model
@@ -33,7 +33,9 @@ class LinDistFlow(Formulation):
         network = model.network
         branch = network.branch
         if len(branch) > len(network.bus) - network.n_islands:
-            raise ModelError(f"formulation 'lindistflow' is for radial grids; {network.name!r} has a loop")
+            raise IncompatibleError(
+                f"formulation 'lindistflow' is for radial grids; {network.name!r} has a loop"
+            )
         w = model.variable(
             "bus", "w", lambda t: t.vm_min**2, lambda t: t.vm_max**2,
             unit="p.u.^2", start=1.0, description="squared voltage magnitude",

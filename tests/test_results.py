@@ -1,0 +1,174 @@
+"""Files of a run: what is saved is read back, and damage is one sentence."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import xarray as xr
+from conftest import SCENARIOS
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel import plot
+from opfmodel.errors import ResultError
+from opfmodel.results import load, save
+
+
+@pytest.fixture(scope="module")
+def run() -> om.Run:
+    changes = {"time.steps": 2, "controller.horizon": 2, "controller.formulation": "dc", "profiles": []}
+    return om.load_scenario(SCENARIOS / "case5-step.yaml", overrides=changes).simulate()
+
+
+@pytest.fixture
+def folder(run: om.Run, tmp_path: Path) -> Path:
+    """A folder of a run."""
+    save(run.data, run.summary(), tmp_path)
+    return tmp_path
+
+
+def test_what_is_saved_is_read_back(run: om.Run, folder: Path) -> None:
+    for path in (folder, folder / "trajectories.nc"):
+        xr.testing.assert_identical(load(path), run.data)
+
+
+def test_the_summary_has_the_checksum_of_the_trajectories(run: om.Run, folder: Path) -> None:
+    saved = save(run.data, run.summary(), folder)
+    assert (
+        json.loads((folder / "summary.json").read_text())["trajectories_sha256"]
+        == saved["trajectories_sha256"]
+    )
+    (folder / "summary.json").unlink()
+    assert load(folder).sizes["time"] == 2
+
+
+def zeroed(content: bytes) -> bytes:
+    """A block that the disk has lost."""
+    return content[:3200] + bytes(64) + content[3264:]
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda content: b"",
+    "a text": lambda content: b"time,bus\n1,2\n",
+    "cut early": lambda content: content[:100],
+    "cut in the middle": lambda content: content[: len(content) // 2],
+    "cut at the end": lambda content: content[:-1],
+    "other bytes": lambda content: bytes(len(content)),
+    "without links": lambda content: content.replace(b"FRHP", b"XXXX"),
+    "zeroed": zeroed,
+}
+
+
+@pytest.mark.parametrize("summary", ["with a summary", "without"])
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_trajectories_are_one_sentence(
+    damage: str, summary: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = folder / "trajectories.nc"
+    path.write_bytes(DAMAGE[damage](path.read_bytes()))
+    if summary == "without":
+        (folder / "summary.json").unlink()
+        if damage == "zeroed":
+            pytest.skip("without a checksum the library has to find out")
+    printed: list[object] = []  # what Python would print of errors in destructors
+    monkeypatch.setattr(sys, "unraisablehook", printed.append)
+    with pytest.raises(ResultError) as caught:
+        load(folder)
+    gc.collect()
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert printed == []
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.integers(0, 1_000_000), bit=st.integers(0, 7))
+def test_any_flipped_bit_is_noticed(place: int, bit: int, folder: Path) -> None:
+    path = folder / "trajectories.nc"
+    sound = path.read_bytes()
+    damaged = bytearray(sound)
+    damaged[place % len(sound)] ^= 1 << bit
+    path.write_bytes(damaged)
+    try:
+        with pytest.raises(ResultError, match=r"trajectories\.nc: .*checksum"):
+            load(folder)
+    finally:
+        path.write_bytes(sound)
+
+
+def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
+    path = folder / "trajectories.nc"
+    path.unlink()
+    with pytest.raises(
+        ResultError, match=r"trajectories\.nc: there is no such file; 'opfmodel run' writes it"
+    ):
+        load(folder)
+    os.mkfifo(path)
+    with pytest.raises(ResultError, match=r"trajectories\.nc: is a pipe"):
+        load(folder)
+    with pytest.raises(ResultError, match="zero: is a device"):
+        load("/dev/zero")
+    for name in ("a\0b", "a" * 5000):
+        with pytest.raises(ResultError, match="a"):
+            load(name)
+
+
+def test_a_damaged_summary_is_one_sentence(folder: Path) -> None:
+    (folder / "summary.json").write_text("{")
+    with pytest.raises(ResultError, match=r"summary\.json: not JSON"):
+        load(folder)
+
+
+def test_other_data_are_no_result(run: om.Run, tmp_path: Path) -> None:
+    path = tmp_path / "other.nc"
+    run.data.drop_vars("pd").to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(ResultError, match=r"other\.nc: not a result of opfmodel: it has no 'pd'"):
+        load(path)
+
+
+def test_a_run_that_replaces_another_leaves_no_summary_of_that(run: om.Run, folder: Path) -> None:
+    class Killed(Exception):
+        pass
+
+    def killed(*_: object) -> None:
+        raise Killed
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr("opfmodel.results.finite", killed)
+        save(run.data.assign(pd=run.data["pd"] + 1), run.summary(), folder)
+    assert not (folder / "summary.json").exists()
+    assert float(load(folder)["pd"].sum()) != float(run.data["pd"].sum())
+
+
+def test_figures_are_complete_or_not_there(
+    run: om.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = plot.save_figures(run.data, tmp_path, figures=["system"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["system.pdf", "system.png"]
+    before = {path: path.read_bytes() for path in written}
+    assert before[tmp_path / "system.pdf"].startswith(b"%PDF")
+    assert before[tmp_path / "system.png"].startswith(b"\x89PNG")
+
+    def full(self: object, target: Path, **_: object) -> None:
+        target.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
+    with pytest.raises(ResultError, match=r"system\.pdf: cannot be written: No space left on device"):
+        plot.save_figures(run.data, tmp_path, figures=["system"])
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_figure_does_not_write_through_a_link(run: om.Run, tmp_path: Path) -> None:
+    (tmp_path / "far").write_text("text")
+    (tmp_path / "system.png").symlink_to(tmp_path / "far")
+    plot.save_figures(run.data, tmp_path, figures=["system"])
+    assert (tmp_path / "far").read_text() == "text"
+    assert not (tmp_path / "system.png").is_symlink()
