@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import DATA
 
 from opfmodel.data.yaml import parse
 from opfmodel.errors import OpfmodelError
@@ -118,8 +119,6 @@ TEXTS = (
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder with the files that the scenarios name."""
-    from conftest import DATA
-
     (tmp_path / "case.m").write_text((DATA / "matpower" / "case9.m").read_text())
     for name, text in (("series", SERIES), ("demand", DEMAND), ("forecast", FORECAST)):
         (tmp_path / f"{name}.csv").write_text(text)

@@ -473,7 +473,7 @@ def test_integers_beyond_64_bits_are_refused(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         f"scenario: tiny.yaml\nvary: {{controller.regularisation: [1, {10**30}]}}\n"
     )
-    with pytest.raises(ScenarioError, match="study.yaml:2:39: .*integers of more than 64 bits"):
+    with pytest.raises(ScenarioError, match=r"study.yaml:2:39: .*integers of more than 64 bits"):
         read_study(folder / "study.yaml")
 
 
