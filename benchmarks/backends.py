@@ -52,7 +52,7 @@ def pypsa_118(horizon: int) -> dict[str, Any]:
         from benchmarks.linear import pypsa_network, solve_pypsa
     except ImportError as error:
         return {"error": f"skipped: {error.name} is not installed (pip install pypsa)"}
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
 
     network, series = case118(horizon + 1)
     _linearise(network)

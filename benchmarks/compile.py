@@ -34,7 +34,7 @@ def opfmodel_118(horizon: int) -> dict[str, Any]:
 def plain_118(horizon: int, regularisation: float = 0.0) -> dict[str, Any]:
     """The plain recipe on the same arrays."""
     from benchmarks.plain import PlainProblem
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
 
     network, series = case118(horizon)
     arrays = per_unit(network)
@@ -59,7 +59,7 @@ def pyomo_118(horizon: int) -> dict[str, Any]:
         from benchmarks.pyomo_model import pyomo_model, solve_file
     except ImportError as error:
         return {"error": f"skipped: {error.name} is not installed"}
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
 
     network, series = case118(horizon)
     arrays = per_unit(network)

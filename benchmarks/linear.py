@@ -10,7 +10,7 @@ import pandas as pd
 import pypsa
 
 from benchmarks.systems import vectors
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 
 __all__ = ["pypsa_network", "solve_pypsa"]
 

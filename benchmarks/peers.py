@@ -74,7 +74,7 @@ def _silently(function: Any) -> Any:
 def _ppc(network: Any) -> dict[str, Any]:
     """A network in MATPOWER's arrays, as PYPOWER and pandapower's converter take it."""
     from benchmarks.systems import vectors
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
 
     n = vectors(per_unit(network))
     bus, gen, branch, base = n.bus, n.generator, n.branch, n.base_mva

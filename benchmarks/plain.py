@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.systems import vectors
-from opfmodel.network import PerUnitNetwork
-from opfmodel.physics import branch_flow
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.physics import branch_flow
 
 __all__ = ["PlainProblem"]
 

@@ -13,8 +13,8 @@ import numpy as np
 import pyomo.environ as pyo
 
 from benchmarks.systems import vectors
-from opfmodel.network import PerUnitNetwork
-from opfmodel.physics import branch_flow
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.physics import branch_flow
 
 __all__ = ["pyomo_model", "solve_file"]
 

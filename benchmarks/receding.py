@@ -41,7 +41,7 @@ def opfmodel_steps(horizon: int, steps: int) -> dict[str, Any]:
 def plain_steps(horizon: int, steps: int) -> dict[str, Any]:
     """The same problems by the plain recipe, each started from the last solution, which it wants."""
     from benchmarks.plain import PlainProblem
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
 
     network, series = case118(horizon + steps)
     arrays = per_unit(network)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import opfmodel as om
-from opfmodel.cases import read_network
 from opfmodel.data.series import Profiles
-from opfmodel.network import PerUnitNetwork, Table
-from opfmodel.profiles.series import window
+from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.cases import read_network
+from opfmodel.network.series import window
 
 ROOT = Path(__file__).parent.parent
 SCENARIO_DATA, PGLIB = ROOT / "scenarios" / "data", ROOT / "tests" / "data" / "pglib"

@@ -1,10 +1,6 @@
 # The public names and where they live, for type checkers and for __init__.py, which imports at first use.
 
-from .cases import (
-    read_network as read_network,
-    write_network as write_network,
-)
-from .components import (
+from .network import (
     Branch as Branch,
     Bus as Bus,
     Generator as Generator,
@@ -14,6 +10,8 @@ from .components import (
     Polynomial as Polynomial,
     Shunt as Shunt,
     Storage as Storage,
+    read_network as read_network,
+    write_network as write_network,
 )
 from .data.series import Profiles as Profiles
 from .errors import OpfmodelError as OpfmodelError

@@ -18,20 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import (
-    BUILT_IN,
-    Branch,
-    Bus,
-    Component,
-    Generator,
-    Load,
-    Network,
-    PiecewiseLinear,
-    Polynomial,
-    Shunt,
-    Storage,
-)
 from opfmodel.data.series import Profiles, SeriesKey
+from opfmodel.network.component import Component
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.costs import PiecewiseLinear, Polynomial
+from opfmodel.network.network import Network
 
 if TYPE_CHECKING:
     import xarray as xr

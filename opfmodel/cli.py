@@ -275,10 +275,10 @@ def table(
 @app.command()
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
     """Check a scenario with its variants, a study or a network file without solving anything."""
-    from opfmodel.cases import read_network
-    from opfmodel.components import Polynomial
     from opfmodel.documents import read_document
-    from opfmodel.network import per_unit
+    from opfmodel.network.arrays import per_unit
+    from opfmodel.network.cases import read_network
+    from opfmodel.network.costs import Polynomial
 
     if _is_scenario(file):
         document = read_document(file)
@@ -418,8 +418,8 @@ def _problem(
     verbose: bool,
 ) -> tuple[MultiStage, Mapping[str, Any] | None, Elastic | None]:
     """The problem of a file, the state that it starts from, and prices at which its limits give way."""
-    from opfmodel.cases import read_network
-    from opfmodel.components import Polynomial
+    from opfmodel.network.cases import read_network
+    from opfmodel.network.costs import Polynomial
     from opfmodel.plan import MultiStage
 
     if _is_scenario(file):

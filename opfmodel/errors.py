@@ -179,6 +179,19 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return "known are: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
 
 
+def listed(names: Iterable[str], most: int = 5) -> str:
+    """The first names, and how many more there are.
+
+    Examples
+    --------
+    >>> listed("abcdefg")
+    'a, b, c, d, e and 2 more'
+    """
+    names = list(names)
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def visible(text: str) -> str:
     r"""The text with escapes, as ``repr`` writes them, for whatever cannot be printed.
 

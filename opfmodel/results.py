@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from opfmodel.data.files import check_file, read_text
 from opfmodel.errors import ResultError
-from opfmodel.network import PerUnitNetwork
-from opfmodel.units import scale
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.units import scale
 
 if TYPE_CHECKING:
     import xarray as xr

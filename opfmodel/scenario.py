@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from opfmodel import cases, plugins
-from opfmodel.components import BUILT_IN, Bus, Component, Load, Network, Polynomial, name_pattern
+from opfmodel import plugins
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
 from opfmodel.data.yaml import MOST_LEVELS
@@ -41,17 +40,22 @@ from opfmodel.errors import (
 )
 from opfmodel.forecasts.base import Forecast
 from opfmodel.formulations.base import Formulation
-from opfmodel.memory import check_memory, run_bytes, series_bytes
 from opfmodel.model import CustomConstraint, Elastic, Linear, PhysicalStage
-from opfmodel.network import per_unit
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.bounds import LARGEST, STEP_HOURS, bounded
+from opfmodel.network.cases import read_network
+from opfmodel.network.component import Component
+from opfmodel.network.components import BUILT_IN, Bus, Load
+from opfmodel.network.costs import Polynomial
+from opfmodel.network.network import Network, name_pattern
+from opfmodel.network.series import check_finite, check_series
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage
+from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
 from opfmodel.profiles.base import Workbook
-from opfmodel.profiles.series import check_finite, check_series
 from opfmodel.simulation import Controller, OnInfeasible, Plant, Run, check_response, simulate
-from opfmodel.units import LARGEST, STEP_HOURS, bounded
 from solvers import Kind, SolverError, find
 
 __all__ = ["Scenario", "laid_over", "load_scenario"]
@@ -457,7 +461,7 @@ class _Declarations:
         if price is not None and (isinstance(price, bool) or not isinstance(price, int | float)):
             raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
         with _located(self.document, ("network", "file")):
-            return cases.read_network(
+            return read_network(
                 self.document.path.parent / file,
                 default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
             )

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
-from opfmodel.components import Component, at_bus, flag, number
 from opfmodel.errors import ComponentError, ModelError, NetworkError
+from opfmodel.network import Component, at_bus, flag, number
 
 
 def test_a_component_is_read_back_by_name(grid: om.Network) -> None:

@@ -13,7 +13,7 @@ from distributions import visible
 import opfmodel as om
 import solvers
 from opfmodel import plugins
-from opfmodel.components import Component
+from opfmodel.network import Component
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.testing import (
     check_back_end,

@@ -11,10 +11,10 @@ import pytest
 from conftest import SCENARIOS, two_bus
 
 import opfmodel as om
-from opfmodel import memory
 from opfmodel.errors import ScenarioError, SizeError
 from opfmodel.forecasts import Noisy
-from opfmodel.memory import check_memory, machine_bytes, problem_bytes
+from opfmodel.plan import memory
+from opfmodel.plan.memory import check_memory, machine_bytes, problem_bytes
 
 CASE5 = SCENARIOS / "case5-step.yaml"
 BILLION = 10**9

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 import opfmodel as om
 from opfmodel.check import check
 from opfmodel.errors import ComponentError, NetworkError, ProfileError
-from opfmodel.network import per_unit
-from opfmodel.physics import branch_admittance, branch_flow, polar_products
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.physics import branch_admittance, branch_flow, polar_products
 
 
 def test_quantities_are_in_per_unit(rich_grid: om.Network) -> None:

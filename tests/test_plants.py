@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.check import check, losses
-from opfmodel.components import Component, at_bus, span
 from opfmodel.errors import ModelError, ScenarioError
 from opfmodel.forecasts import Noisy, Persistence
 from opfmodel.model import Device, Model
-from opfmodel.network import Table
+from opfmodel.network import Component, at_bus, span
+from opfmodel.network.arrays import Table
 from opfmodel.plan import multistage as plan_module
 from opfmodel.simulation import Run, Step
 

@@ -9,8 +9,8 @@ import pytest
 from conftest import two_bus
 
 import opfmodel as om
-from opfmodel.components import BUILT_IN
 from opfmodel.errors import ModelError, ProfileError, ScenarioError
+from opfmodel.network.components import BUILT_IN
 
 SCENARIO = """
 network:

@@ -12,7 +12,8 @@ import pytest
 from conftest import ROOT, SCENARIOS
 
 import opfmodel as om
-from opfmodel.components import BUILT_IN, Component
+from opfmodel.network import Component
+from opfmodel.network.components import BUILT_IN
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 

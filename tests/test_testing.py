@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import opfmodel as om
-from opfmodel.components import Component, at_bus, flag, number
 from opfmodel.devices.generator import GeneratorDevice
 from opfmodel.devices.storage import StorageDevice
 from opfmodel.errors import ModelError
@@ -18,6 +17,7 @@ from opfmodel.formulations.base import Formulation, shunts
 from opfmodel.formulations.copperplate import Copperplate
 from opfmodel.formulations.dc import DC
 from opfmodel.model import Device
+from opfmodel.network import Component, at_bus, flag, number
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.profiles.base import ProfileRule

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from opfmodel.components import Generator
 from opfmodel.model import Device, Model, Stage
-from opfmodel.network import Table
+from opfmodel.network.arrays import Table
+from opfmodel.network.components import Generator
 from solvers import largest_by, total
 
 __all__ = ["GeneratorDevice"]

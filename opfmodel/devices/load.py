@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Load
 from opfmodel.model import Device, Model, Side, Slack
-from opfmodel.network import PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.components import Load
 from solvers import Expression, Solution
 
 __all__ = ["LoadDevice"]

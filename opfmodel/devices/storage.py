@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.components import Storage
 from opfmodel.errors import IncompatibleError
 from opfmodel.model import Device, Model
-from opfmodel.network import Array, Index, Table
+from opfmodel.network.arrays import Array, Index, Table
+from opfmodel.network.components import Storage
 from solvers import Expression, Rows
 
 __all__ = ["StorageDevice"]

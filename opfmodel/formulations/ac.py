@@ -14,7 +14,7 @@ from opfmodel.formulations.base import (
     transport,
 )
 from opfmodel.model import Model
-from opfmodel.physics import branch_flow, polar_products
+from opfmodel.network.physics import branch_flow, polar_products
 
 __all__ = ["AC"]
 

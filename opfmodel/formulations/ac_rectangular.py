@@ -13,7 +13,7 @@ from opfmodel.formulations.base import (
     transport,
 )
 from opfmodel.model import Model
-from opfmodel.physics import branch_flow, rectangular_products
+from opfmodel.network.physics import branch_flow, rectangular_products
 from solvers import Expression
 
 __all__ = ["ACRectangular"]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
 from opfmodel.model import Model, Soft
-from opfmodel.network import Array, Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from solvers import Expression, Solution
 
 __all__ = [

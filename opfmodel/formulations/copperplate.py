@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from opfmodel.formulations.base import Formulation, shunts
 from opfmodel.model import Model
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 
 __all__ = ["Copperplate"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from opfmodel.errors import IncompatibleError
 from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
 from opfmodel.model import Model
-from opfmodel.network import Array, PerUnitNetwork
+from opfmodel.network.arrays import Array, PerUnitNetwork
 from solvers import Expression
 
 __all__ = ["DC", "DCMatpower"]

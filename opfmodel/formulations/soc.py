@@ -17,8 +17,8 @@ from opfmodel.formulations.base import (
     soft_rating,
 )
 from opfmodel.model import Model, Side
-from opfmodel.network import Index, PerUnitNetwork
-from opfmodel.physics import Array, branch_flow
+from opfmodel.network.arrays import Index, PerUnitNetwork
+from opfmodel.network.physics import Array, branch_flow
 from solvers import Expression, Solution
 
 __all__ = ["SOC"]

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import name_pattern
 from opfmodel.errors import ConstraintError, ModelError, nearest, shown
 from opfmodel.model.elastic import Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import Stage
-from opfmodel.network import Index
-from opfmodel.units import bounded, scale
+from opfmodel.network.arrays import Index
+from opfmodel.network.bounds import bounded
+from opfmodel.network.network import name_pattern
+from opfmodel.network.units import scale
 from solvers import Constraint, Expression, Sum, total
 
 __all__ = ["CustomConstraint", "Linear", "PhysicalStage"]

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.network import PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
 __all__ = ["Bound", "BoundSource", "Injection", "Price", "Published", "State", "resolved"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from opfmodel.components import Component
 from opfmodel.model.stage import Stage
-from opfmodel.network import Table
+from opfmodel.network.arrays import Table
+from opfmodel.network.component import Component
 
 if TYPE_CHECKING:
     from opfmodel.model.model import Model

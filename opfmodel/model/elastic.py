@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError
-from opfmodel.network import PerUnitNetwork, Table
-from opfmodel.units import scale
+from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.units import scale
 from solvers import Solution
 
 __all__ = ["Elastic", "Shortage", "Side", "Slack", "Soft", "shortages"]

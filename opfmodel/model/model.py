@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import BUILT_IN
 from opfmodel.errors import IncompatibleError
 from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
 from opfmodel.model.stage import Quantities, sum_of_costs
-from opfmodel.network import PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.components import BUILT_IN
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum, total
 
 __all__ = ["Model"]

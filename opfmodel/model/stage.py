@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import QuantityError, nearest
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 
 if TYPE_CHECKING:
     from opfmodel.model.device import Device

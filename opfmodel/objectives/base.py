@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
 from opfmodel.model import Stage
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.checks import not_negative
 
 __all__ = ["Objective", "WeightedSum"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from opfmodel.errors import ModelError
-from opfmodel.units import LARGEST, bounded
+from opfmodel.network.bounds import LARGEST, bounded
 
 __all__ = ["finite", "not_negative"]
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.model import Stage
+from opfmodel.network.bounds import LARGEST
 from opfmodel.objectives.base import Objective
-from opfmodel.units import LARGEST
 from solvers import total
 
 __all__ = ["LinearQuadratic"]

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.model import Stage
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import LARGEST
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
-from opfmodel.units import LARGEST
 from solvers import total
 
 __all__ = ["SetpointTracking", "Setpoints"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from opfmodel.errors import ModelError
-from opfmodel.units import bounded
+from opfmodel.network.bounds import bounded
 
 __all__ = ["End"]
 

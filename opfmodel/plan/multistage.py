@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel import plugins
-from opfmodel.components import Network
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -23,19 +22,21 @@ from opfmodel.errors import (
     name_fault,
 )
 from opfmodel.formulations.base import Formulation
-from opfmodel.memory import check_memory, problem_bytes
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
-from opfmodel.network import PerUnitNetwork, per_unit
+from opfmodel.network.arrays import PerUnitNetwork, per_unit
+from opfmodel.network.bounds import STEP_HOURS
+from opfmodel.network.network import Network
+from opfmodel.network.series import check_series, fields_with_series, widest, window
+from opfmodel.network.units import scale
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.checks import not_negative
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
+from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
-from opfmodel.profiles.series import check_series, fields_with_series, widest, window
-from opfmodel.units import STEP_HOURS, scale
 from solvers import Program, Session, SolverError, Start, prepare
 
 __all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]

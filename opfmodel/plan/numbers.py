@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from opfmodel.errors import ModelError
 from opfmodel.model import Model
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.units import scale
 from opfmodel.plan.end import End
-from opfmodel.units import scale
 from solvers import Instance, Program
 
 __all__ = ["Numbers"]

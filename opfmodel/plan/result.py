@@ -12,8 +12,8 @@ import numpy.typing as npt
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import shortages
-from opfmodel.network import PerUnitNetwork
-from opfmodel.units import scale
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.units import scale
 from solvers import Solution, SolutionStatus
 
 if TYPE_CHECKING:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Generator, Network, Storage
 from opfmodel.errors import IncompatibleError, ModelError
-from opfmodel.network import per_unit
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.components import Generator, Storage
+from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.multistage import MultiStage

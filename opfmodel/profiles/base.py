@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Load, Network
 from opfmodel.data.columns import Columns
 from opfmodel.data.series import SeriesKey
 from opfmodel.errors import ProfileError, nearest
+from opfmodel.network.components import Load
+from opfmodel.network.network import Network
 
 __all__ = ["ProfileRule", "Workbook"]
 

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
+from opfmodel.network.series import check_finite, window
 from opfmodel.plan import Initial, MultiStage, Plan
-from opfmodel.profiles.series import check_finite, window
 from solvers import SolutionStatus
 
 __all__ = ["Attempt", "Controller", "OnInfeasible"]

@@ -10,9 +10,9 @@ from typing import Any
 
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
-from opfmodel.memory import check_memory, run_bytes
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.memory import check_memory, run_bytes
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
 from opfmodel.simulation.plants.base import Plant
 from opfmodel.simulation.plants.nominal import NominalPlant

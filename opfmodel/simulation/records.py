@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.network import PerUnitNetwork, Table
-from opfmodel.units import scale
+from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.units import scale
 
 if TYPE_CHECKING:
     from opfmodel.plan import MultiStage

@@ -12,16 +12,19 @@ import numpy as np
 
 from opfmodel import plugins
 from opfmodel.check import check
-from opfmodel.components import BUILT_IN, Branch, Bus, Component, Generator, Load, Network, Polynomial
 from opfmodel.errors import PluginError
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model, NumericStage
-from opfmodel.network import per_unit
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.component import Component
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load
+from opfmodel.network.costs import Polynomial
+from opfmodel.network.network import Network
+from opfmodel.network.units import UNITS
 from opfmodel.plan import MultiStage
 from opfmodel.simulation import simulate
 from opfmodel.testing.options import check_documentation
 from opfmodel.testing.sampling import at_random
-from opfmodel.units import UNITS
 from solvers import Kind, classify
 from solvers.testing import Contract
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.check import check
-from opfmodel.components import Load, Network
 from opfmodel.errors import ModelError
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import Model
-from opfmodel.network import per_unit
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.components import Load
+from opfmodel.network.network import Network
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.testing.grids import EDGE_GRIDS, demand, feeder, ring
 from opfmodel.testing.options import check_documentation

@@ -7,17 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import (
-    Branch,
-    Bus,
-    Generator,
-    Load,
-    Network,
-    PiecewiseLinear,
-    Polynomial,
-    Shunt,
-    Storage,
-)
+from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.costs import PiecewiseLinear, Polynomial
+from opfmodel.network.network import Network
 
 __all__ = ["EDGE_GRIDS", "demand", "feeder", "ring"]
 

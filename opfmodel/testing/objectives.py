@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel import plugins
-from opfmodel.components import Network
 from opfmodel.errors import ModelError, PluginError, QuantityError
 from opfmodel.model import NumericStage, Quantities
+from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.testing.grids import demand, feeder

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.check import check
-from opfmodel.components import Network, Storage
 from opfmodel.errors import ModelError
 from opfmodel.forecasts.noisy import Noisy
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.components import Storage
+from opfmodel.network.network import Network
+from opfmodel.network.units import UNITS
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation import Controller, Plant, Run, Step, simulate
 from opfmodel.testing.grids import EDGE_GRIDS, demand, feeder
 from opfmodel.testing.options import check_options
-from opfmodel.units import UNITS
 from solvers.testing import Contract
 
 __all__ = ["check_plant"]

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from opfmodel.components import Network
 from opfmodel.data.series import Profiles
 from opfmodel.errors import OpfmodelError
+from opfmodel.network.network import Network
+from opfmodel.network.series import check_series
 from opfmodel.profiles.base import ProfileRule, Workbook
-from opfmodel.profiles.series import check_series
 from opfmodel.testing.grids import feeder
 from opfmodel.testing.options import check_options
 from solvers.testing import Contract

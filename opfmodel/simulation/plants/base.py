@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.plan import Plan
 
 __all__ = ["Key", "Plant", "Step", "Values"]

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from opfmodel.components import Generator, Load, Storage
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
-from opfmodel.network import Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.components import Generator, Load, Storage
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points

@@ -9,7 +9,7 @@ import numpy as np
 
 from opfmodel.data.series import SeriesKey
 from opfmodel.model import Device, Stage
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values

@@ -6,7 +6,7 @@ import math
 
 from opfmodel.errors import ModelError
 from opfmodel.model import Elastic
-from opfmodel.network import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from opfmodel.components import Component, at_bus, flag, number
 from opfmodel.model import Device, Model, Stage
-from opfmodel.network import Table
+from opfmodel.network import Component, Table, at_bus, flag, number
 from solvers import total
 
 __all__ = ["Fleet", "FleetDevice"]

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.files import MB, read_text
-from opfmodel.errors import CaseError
+from opfmodel.errors import CaseError, listed
 
 __all__ = ["CaseFile", "read_case"]
 
@@ -121,8 +121,7 @@ class CaseFile:
     def unevaluated(self, statements: Sequence[tuple[int, str]]) -> str:
         """The remark that statements have no effect."""
         (line, code), *others = statements
-        more = f"; nor are those of lines {', '.join(str(n) for n, _ in others[:5])}" if others else ""
-        more += f" and {len(others) - 5} more" if len(others) > 5 else ""
+        more = f"; nor are those of lines {listed(str(n) for n, _ in others)}" if others else ""
         return (
             f"{self.path}:{line}: {_short(code)} is not evaluated{more}; "
             "the numbers are those that the tables of the file state"

@@ -11,14 +11,7 @@ import math
 
 from opfmodel.errors import ModelError
 
-__all__ = ["BASE_MVA", "LARGEST", "STEP_HOURS", "UNITS", "bounded", "scale"]
-
-# Largest magnitude of a finite number in any unit. What is larger is no quantity of a power system, and a
-# product of eight numbers of this size is still finite.
-LARGEST = 1e30
-# Least and largest power base, and length of a stage in hours, that per-unit quantities and energies survive.
-BASE_MVA = (1e-6, 1e9)
-STEP_HOURS = (1e-6, 1e6)
+__all__ = ["UNITS", "scale"]
 
 # power of the base inside in one internal unit, and another constant factor
 _FACTORS: dict[str, tuple[int, float]] = {
@@ -45,17 +38,6 @@ _FACTORS: dict[str, tuple[int, float]] = {
 _REBASED = {"p.u. impedance": -1, "p.u. admittance": 1}
 
 UNITS = (*_FACTORS, *_REBASED)
-
-
-def bounded(value: float) -> bool:
-    """Whether a number is finite and at most :data:`LARGEST` in magnitude; false of what is not a number.
-
-    Examples
-    --------
-    >>> bounded(-1e30), bounded(1e31), bounded(math.inf), bounded(math.nan), bounded(10**400)
-    (True, False, False, False, False)
-    """
-    return abs(value) <= LARGEST
 
 
 def scale(unit: str, base_mva: float, declared_mva: float | None = None) -> float:

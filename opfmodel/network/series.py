@@ -7,11 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.components import Component, Network, PiecewiseLinear
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest
-from opfmodel.network import PerUnitNetwork
-from opfmodel.units import LARGEST, scale
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import LARGEST
+from opfmodel.network.component import Component
+from opfmodel.network.costs import PiecewiseLinear
+from opfmodel.network.network import Network
+from opfmodel.network.units import scale
 
 __all__ = ["check_finite", "check_series", "fields_with_series", "widest", "window"]
 

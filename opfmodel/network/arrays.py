@@ -15,11 +15,13 @@ import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel import components
-from opfmodel.components import Component, Network, PiecewiseLinear, Polynomial
-from opfmodel.errors import ComponentError, NetworkError, nearest
-from opfmodel.physics import Admittance, branch_admittance
-from opfmodel.units import scale
+from opfmodel.errors import ComponentError, NetworkError, listed, nearest
+from opfmodel.network.component import Component
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
+from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.network import Network
+from opfmodel.network.physics import Admittance, branch_admittance
+from opfmodel.network.units import scale
 
 __all__ = ["Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
 
@@ -80,7 +82,7 @@ class PerUnitNetwork:
     Attributes
     ----------
     base_mva
-        Base of the arrays: :attr:`Network.scale_mva <opfmodel.components.Network.scale_mva>`.
+        Base of the arrays: :attr:`Network.scale_mva <opfmodel.network.Network.scale_mva>`.
     declared_mva
         Base on which the network declares its impedances.
     tables
@@ -190,7 +192,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
     """
     notes: list[str] = []
     _check_buses(network)
-    every_bus = network.of(components.Bus)
+    every_bus = network.of(Bus)
     buses = {name: bus for name, bus in every_bus.items() if bus.in_service}
     kept = {
         name: component
@@ -199,15 +201,15 @@ def per_unit(network: Network) -> PerUnitNetwork:
     }
     dropped = [n for n in network if n not in kept and n not in every_bus]
     if dropped:
-        notes.append(f"out of service, left out: {_listing(dropped)}")
+        notes.append(f"out of service, left out: {listed(map(repr, dropped))}")
     notes.extend(_broken_rules(network))
     graph = nx.Graph()
     graph.add_nodes_from(buses)
-    graph.add_edges_from(c.buses for c in kept.values() if isinstance(c, components.Branch))
-    occupied = {bus for c in kept.values() if not isinstance(c, components.Bus) for bus in c.buses}
+    graph.add_edges_from(c.buses for c in kept.values() if isinstance(c, Branch))
+    occupied = {bus for c in kept.values() if not isinstance(c, Bus) for bus in c.buses}
     isolated = [b for b in buses if b not in occupied and len(buses) > 1]
     if isolated:
-        notes.append(f"isolated buses with nothing connected, left out: {_listing(isolated)}")
+        notes.append(f"isolated buses with nothing connected, left out: {listed(map(repr, isolated))}")
         graph.remove_nodes_from(isolated)
     lonely = set(isolated)
     kept = {n: c for n, c in kept.items() if n not in lonely}
@@ -216,7 +218,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
         raise NetworkError(f"network {network.name!r} has no bus in service")
     base_mva = network.scale_mva
     notes += _absurd_base(network)
-    kinds = dict.fromkeys((*components.BUILT_IN, *network.kinds()))
+    kinds = dict.fromkeys((*BUILT_IN, *network.kinds()))
     position = {b: i for i, b in enumerate(names)}
     tables = {
         kind.kind: _table(
@@ -266,11 +268,11 @@ def _broken_rules(network: Network) -> Iterator[str]:
                 broken[name] = error
     if broken:
         first = next(iter(broken.values()))
-        yield f"out of service with data that break a rule: {_listing(list(broken))}; {first}"
+        yield f"out of service with data that break a rule: {listed(map(repr, broken))}; {first}"
 
 
 def _check_buses(network: Network) -> None:
-    known = network.of(components.Bus)
+    known = network.of(Bus)
     for name in network:
         component = network[name]
         for key, bus in zip(component.bus_fields(), component.buses, strict=True):
@@ -279,7 +281,7 @@ def _check_buses(network: Network) -> None:
 
 
 def _reference(
-    members: list[str], buses: Mapping[str, components.Bus], kept: Mapping[str, Component]
+    members: list[str], buses: Mapping[str, Bus], kept: Mapping[str, Component]
 ) -> tuple[str, str]:
     """The reference bus of an island and a note if it was not simply the declared one."""
     declared = [b for b in members if buses[b].reference]
@@ -289,7 +291,7 @@ def _reference(
         return declared[0], f"several reference buses in one island; {declared[0]!r} is taken"
     capacity = dict.fromkeys(members, -np.inf)
     for component in kept.values():
-        if isinstance(component, components.Generator) and component.bus in capacity:
+        if isinstance(component, Generator) and component.bus in capacity:
             capacity[component.bus] = max(capacity[component.bus], component.p[1])
     chosen = max(members, key=lambda b: capacity[b])
     return chosen, f"no reference bus declared in the island of {members[0]!r}; {chosen!r} is taken"
@@ -325,7 +327,7 @@ def _table(
     return Table(kind, tuple(members), arrays, units, base_mva)
 
 
-def _cost_arrays(costs: list[components.Cost], base_mva: float) -> dict[str, npt.NDArray[Any]]:
+def _cost_arrays(costs: list[Cost], base_mva: float) -> dict[str, npt.NDArray[Any]]:
     polynomials = [c if isinstance(c, Polynomial) else Polynomial() for c in costs]
     segments = [
         (owner, slope, offset)
@@ -347,8 +349,3 @@ def _cost_arrays(costs: list[components.Cost], base_mva: float) -> dict[str, npt
 def _column(values: list[float]) -> Array:
     """One value per item, ``(items, 1)``."""
     return np.array(values, dtype=float).reshape(-1, 1)
-
-
-def _listing(names: list[str]) -> str:
-    shown = ", ".join(repr(n) for n in names[:5])
-    return shown + (f" and {len(names) - 5} more" if len(names) > 5 else "")

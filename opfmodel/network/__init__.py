@@ -1,0 +1,5 @@
+"""Networks: declared components, their arrays in per unit, the equations of branches, and files."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,254 @@
+"""What a component is: a dataclass whose fields say how they are checked and laid out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
+from functools import cache
+from typing import Any, ClassVar, Self
+
+from opfmodel.errors import ComponentError, ProfileError, nearest
+from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.fields import (
+    INF,
+    TableField,
+    is_flag,
+    rules_of_number,
+    rules_of_span,
+    type_of_bus,
+    type_of_flag,
+    type_of_number,
+    type_of_span,
+)
+
+__all__ = ["Component", "plain_value"]
+
+
+def _type_of_cost(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    if not isinstance(value, Cost):
+        raise ComponentError(
+            name,
+            key,
+            value,
+            "must be a Polynomial or PiecewiseLinear; in a file {c2: , c1: , c0: } in $/MW²h, "
+            "$/MWh, $/h or {points: [[MW, $/h], ...]}",
+        )
+    value.check_types(name, key)
+
+
+def _rules_of_cost(name: str, key: str, value: Cost, _: Mapping[str, Any]) -> None:
+    value.check(name, key)
+
+
+_Check = Callable[[str, str, Any, Mapping[str, Any]], None]
+_TYPES: Mapping[str, _Check] = {
+    "number": type_of_number,
+    "span": type_of_span,
+    "flag": type_of_flag,
+    "bus": type_of_bus,
+    "cost": _type_of_cost,
+}
+_RULES: Mapping[str, _Check] = {
+    "number": rules_of_number,
+    "span": rules_of_span,
+    "cost": _rules_of_cost,
+}
+
+
+class Component:
+    """Base class of everything that is declared in a network.
+
+    A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span` and
+    :func:`at_bus`. These say how a field is checked, converted to per unit and laid out in
+    arrays, so that a new kind of component needs nothing else.
+
+    Attributes
+    ----------
+    kind, plural
+        Name of the dimension in results, and of the section in scenario files.
+    """
+
+    kind: ClassVar[str]
+    plural: ClassVar[str]
+    in_service: bool
+
+    def __new__(cls, *_: Any, **values: Any) -> Self:
+        """Refuse a field that there is not, with the nearest that there is."""
+        for key, value in values.items():
+            if key not in cls.fields():
+                raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, cls.fields())}")
+        return super().__new__(cls)
+
+    def check_types(self, name: str) -> None:
+        """Raise :class:`ComponentError` unless every field is of its type.
+
+        A number is a number (NaN and infinity too), or None where the field is optional; a span is a
+        pair of numbers, a flag true or false, a bus the name of one, a cost a :class:`Cost` made of
+        numbers. So much holds whether the component is in service or not: it is what arrays, files
+        and later changes of the component are made of.
+        """
+        for key, metadata, check_type, _ in self._checks():
+            if check_type is not None:
+                check_type(name, key, getattr(self, key), metadata)
+
+    def check(self, name: str) -> None:
+        """Raise :class:`ComponentError` unless all holds that a component in service must keep.
+
+        The types, and the rules of each field. Subclasses add rules of their own, after the call of
+        this method.
+        """
+        self.check_types(name)
+        for key, metadata, _, check_rules in self._checks():
+            if check_rules is not None:
+                check_rules(name, key, getattr(self, key), metadata)
+
+    def check_declared(self, name: str) -> None:
+        """Raise :class:`ComponentError` unless a network can hold the component as it is.
+
+        In service it must keep every rule (:meth:`check`). Out of service its types alone must be
+        right (:meth:`check_types`): nothing is computed from it, and data of units long gone, such
+        as a minimum above the maximum, are kept as they are until it is put in service.
+        """
+        if is_flag(self.in_service) and not self.in_service:
+            self.check_types(name)
+        else:
+            self.check(name)
+
+    def resolved(self) -> Self:
+        """The component with defaults that depend on other fields filled in."""
+        return self
+
+    @classmethod
+    @cache
+    def fields(cls) -> Mapping[str, Field[Any]]:
+        """The fields by name."""
+        return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    @cache
+    def _checks(cls) -> tuple[tuple[str, Mapping[str, Any], _Check | None, _Check | None], ...]:
+        """Key, metadata and checks of each field, of its type and of its rules."""
+        forms = [(key, item.metadata, item.metadata["form"]) for key, item in cls.fields().items()]
+        return tuple((key, metadata, _TYPES.get(form), _RULES.get(form)) for key, metadata, form in forms)
+
+    @classmethod
+    @cache
+    def table_fields(cls) -> Mapping[str, TableField]:
+        """The quantities that arrays of the kind have, by name: ``p_min`` and ``p_max`` of a span ``p``.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Generator
+        >>> list(Generator.table_fields())
+        ['p_min', 'p_max', 'q_min', 'q_max', 'ramp', 'c2', 'c1', 'c0']
+        """
+        made = {}
+        for name, item in cls.fields().items():
+            form, unit = item.metadata["form"], item.metadata["unit"]
+            series = item.metadata.get("series", True)
+            if form == "number":
+                made[name] = TableField(form, unit, series)
+            elif form == "span":
+                made |= dict.fromkeys((f"{name}_min", f"{name}_max"), TableField(form, unit, series))
+            elif form == "cost":
+                units = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
+                made |= {coefficient: TableField(form, u, series) for coefficient, u in units.items()}
+        return made
+
+    def constant(self, field: str) -> float:
+        """Value of a quantity of the arrays (``p``, ``p_max``, ``c1``) as the component declares it.
+
+        Raises
+        ------
+        ProfileError
+            The component has no such number; of a range the message names the two ends.
+        """
+        component, known = self.resolved(), self.fields()
+        stem, _, end = field.rpartition("_")
+        of = self.table_fields().get(field)
+        if of is not None and of.form == "number":
+            value = getattr(component, field)
+            return INF if value is None else float(value)  # None is "no limit"
+        if of is not None and of.form == "span":
+            pair = getattr(component, stem)
+            return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))
+        if of is not None:
+            (cost,) = (
+                getattr(component, name) for name, item in known.items() if item.metadata["form"] == "cost"
+            )
+            if hasattr(cost, field):
+                return float(getattr(cost, field))
+        span = field in known and known[field].metadata["form"] == "span"
+        ends = f"; it has {field}_min and {field}_max" if span else ""
+        raise ProfileError(f"a {self.kind} has no number {field!r}{ends}")
+
+    @classmethod
+    @cache
+    def bus_fields(cls) -> tuple[str, ...]:
+        """Names of the fields that name a bus."""
+        return tuple(name for name, item in cls.fields().items() if item.metadata["form"] == "bus")
+
+    @classmethod
+    def unlimited(cls, key: str) -> float | None:
+        """The infinity by which a field of the table says that there is no limit; None if it cannot.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Branch, Generator, Load
+        >>> Branch.unlimited("rating"), Generator.unlimited("q_min"), Load.unlimited("p")
+        (inf, -inf, None)
+        """
+        known = cls.fields()
+        if key in known and known[key].metadata["form"] == "number":
+            return None if known[key].metadata["finite"] else INF
+        stem, _, end = key.rpartition("_")
+        default: Any = known[stem].default if end in ("min", "max") and stem in known else None
+        value = float(default[end == "max"]) if isinstance(default, tuple) else 0.0
+        return value if math.isinf(value) else None
+
+    @property
+    def buses(self) -> tuple[str, ...]:
+        """Names of the buses that it is connected to."""
+        return tuple(getattr(self, name) for name in self.bus_fields())
+
+    @classmethod
+    def from_mapping(cls, name: str, values: Mapping[str, Any]) -> Self:
+        """Make a component from plain values, as a scenario file has them.
+
+        Raises
+        ------
+        ComponentError
+            An unknown field, a missing field or, see :meth:`check_declared`, a value that breaks its
+            rule.
+        """
+        known = cls.fields()
+        for key in values:
+            if key not in known:
+                raise ComponentError(
+                    name, key, values[key], f"unknown field of a {cls.kind}; {nearest(key, known)}"
+                )
+        for key, item in known.items():
+            if key not in values and item.default is MISSING:
+                raise ComponentError(name, key, None, f"a {cls.kind} needs this field")
+        converted = {key: plain_value(known[key], value) for key, value in values.items()}
+        component = cls(**converted)
+        component.check_declared(name)
+        return component
+
+
+def plain_value(item: Field[Any], value: Any) -> Any:
+    """A value of a file in the form that the field takes: lists become tuples, mappings costs."""
+    form = item.metadata["form"]
+    if form == "cost" and isinstance(value, Mapping):
+        if set(value) == {"points"} and isinstance(value["points"], Sequence):
+            return PiecewiseLinear(
+                tuple(tuple(p) if isinstance(p, Sequence) else (p,) for p in value["points"])
+            )
+        if set(value) <= {"c2", "c1", "c0"}:
+            return Polynomial(**value)
+    if form == "bus" and isinstance(value, int) and not isinstance(value, bool):
+        return str(value)
+    if form == "span" and isinstance(value, Sequence) and not isinstance(value, str):
+        return tuple(value)
+    return value

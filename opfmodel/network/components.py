@@ -1,0 +1,239 @@
+"""The built-in kinds of components: buses, branches, generators, storage, loads, shunts.
+
+Quantities are physical: MW, MVAr, MVA, MWh, hours, degrees, $; impedances are per unit on the network's
+``base_mva``, voltages per unit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from opfmodel.errors import ComponentError
+from opfmodel.network.component import Component
+from opfmodel.network.costs import Cost, Polynomial
+from opfmodel.network.fields import INF, at_bus, flag, number, span
+
+__all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Shunt", "Storage"]
+
+_LEAST_IMPEDANCE = 1e-12  # p.u.; admittances are squared
+
+
+@dataclass(frozen=True)
+class Bus(Component):
+    """A node of the grid.
+
+    Parameters
+    ----------
+    vm
+        ``(min, max)`` of the voltage magnitude, p.u.
+    base_kv
+        Nominal voltage, kV; kept for network files.
+    reference
+        Whether its angle is the zero of its island.
+    """
+
+    kind: ClassVar[str] = "bus"
+    plural: ClassVar[str] = "buses"
+
+    vm: tuple[float, float] = span("p.u.", (0.9, 1.1), at_least=0.0)
+    base_kv: float | None = number("kV", None, above=0.0, optional=True, series=False)
+    reference: bool = flag(False)
+    in_service: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Branch(Component):
+    """A line or transformer: the π model with an ideal transformer at the from end.
+
+    Parameters
+    ----------
+    from_bus, to_bus
+        Names of its buses.
+    r, x
+        Series impedance, p.u.
+    b, g
+        Total charging susceptance and conductance, half at each end, p.u.
+    rating
+        Limit of the apparent power at both ends, MVA; None for no limit.
+    tap, shift
+        Transformer ratio, from 0.001 to 1000, and phase shift in degrees.
+    angle
+        ``(min, max)`` of the angle difference from - to, degrees; beyond ±360 there is no limit.
+    g_from, b_from, g_to, b_to
+        Further shunt admittance at one end, p.u.
+    """
+
+    kind: ClassVar[str] = "branch"
+    plural: ClassVar[str] = "branches"
+
+    from_bus: str = at_bus()
+    to_bus: str = at_bus()
+    r: float = number("p.u. impedance", series=False)
+    x: float = number("p.u. impedance", series=False)
+    b: float = number("p.u. admittance", 0.0, series=False)
+    g: float = number("p.u. admittance", 0.0, series=False)
+    rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
+    tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False)
+    shift: float = number("deg", 0.0, series=False)
+    angle: tuple[float, float] = span("deg", (-360.0, 360.0), series=False)
+    g_from: float = number("p.u. admittance", 0.0, series=False)
+    b_from: float = number("p.u. admittance", 0.0, series=False)
+    g_to: float = number("p.u. admittance", 0.0, series=False)
+    b_to: float = number("p.u. admittance", 0.0, series=False)
+    in_service: bool = flag(True)
+
+    def check(self, name: str) -> None:
+        """Raise :class:`ComponentError` if a field breaks its rule or the impedance is next to zero."""
+        super().check(name)
+        if math.hypot(self.r, self.x) < _LEAST_IMPEDANCE:
+            raise ComponentError(
+                name,
+                "r, x",
+                (self.r, self.x),
+                f"the impedance must not be zero, but at least {_LEAST_IMPEDANCE:g} p.u.; "
+                "merge the two buses instead",
+            )
+        if self.from_bus == self.to_bus:
+            raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
+
+
+@dataclass(frozen=True)
+class Generator(Component):
+    """A unit that injects power at a bus.
+
+    Parameters
+    ----------
+    bus
+        Name of its bus.
+    p, q
+        ``(min, max)`` of active and reactive power, MW and MVAr; no limit on q by default.
+    ramp
+        Largest change of active power, MW/h; None for no limit.
+    cost
+        :class:`Polynomial` or :class:`PiecewiseLinear`.
+    """
+
+    kind: ClassVar[str] = "generator"
+    plural: ClassVar[str] = "generators"
+
+    bus: str = at_bus()
+    p: tuple[float, float] = span("MW")
+    q: tuple[float, float] = span("MVAr", (-INF, INF))
+    ramp: float | None = number("MW/h", None, at_least=0.0, optional=True, finite=False)
+    cost: Cost = field(default=Polynomial(), metadata={"form": "cost", "unit": ""})
+    in_service: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Storage(Component):
+    """A battery or another store; positive power charges it.
+
+    Parameters
+    ----------
+    bus
+        Name of its bus.
+    energy
+        Capacity, MWh.
+    power
+        ``(min, max)`` of the charging power, MW; one number ``a`` stands for ``(-a, a)``.
+    q
+        ``(min, max)`` of the reactive power drawn, MVAr.
+    initial
+        Energy at the start, MWh; None is midway between the least energy and the capacity.
+    energy_min
+        Least energy, MWh.
+    charge_efficiency, discharge_efficiency
+        From 0.001 to 1.
+    standing_loss
+        Fraction of the energy lost per hour.
+    rating
+        Limit of the apparent power, MVA; None for no limit.
+    exclusive
+        Forbid charging and discharging at once, which matters only with losses and negative
+        prices. It makes the problem non-convex, so that only a nonlinear solver accepts it.
+    """
+
+    kind: ClassVar[str] = "storage"
+    plural: ClassVar[str] = "storages"
+
+    bus: str = at_bus()
+    energy: float = number("MWh", at_least=0.0)
+    power: float | tuple[float, float] = span("MW", symmetric=True)
+    q: float | tuple[float, float] = span("MVAr", (0.0, 0.0), symmetric=True)
+    initial: float | None = number("MWh", None, at_least=0.0, optional=True, series=False)
+    energy_min: float = number("MWh", 0.0, at_least=0.0)
+    charge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
+    discharge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
+    standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)
+    rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
+    exclusive: bool = flag(False)
+    in_service: bool = flag(True)
+
+    def check(self, name: str) -> None:
+        """Raise :class:`ComponentError` if a field breaks its rule or the energies are out of order."""
+        super().check(name)
+        if self.energy_min > self.energy:
+            raise ComponentError(
+                name, "energy_min", self.energy_min, f"must be at most the capacity, energy = {self.energy:g}"
+            )
+        if self.initial is not None and not self.energy_min <= self.initial <= self.energy:
+            raise ComponentError(
+                name,
+                "initial",
+                self.initial,
+                f"must lie between energy_min = {self.energy_min:g} and energy = {self.energy:g}",
+            )
+
+    def resolved(self) -> Storage:
+        """The storage with its initial energy filled in."""
+        return (
+            self if self.initial is not None else replace(self, initial=0.5 * (self.energy_min + self.energy))
+        )
+
+
+@dataclass(frozen=True)
+class Load(Component):
+    """A demand at a bus; negative values feed in.
+
+    Parameters
+    ----------
+    bus
+        Name of its bus.
+    p, q
+        Active and reactive demand, MW and MVAr.
+    """
+
+    kind: ClassVar[str] = "load"
+    plural: ClassVar[str] = "loads"
+
+    bus: str = at_bus()
+    p: float = number("MW")
+    q: float = number("MVAr", 0.0)
+    in_service: bool = flag(True)
+
+
+@dataclass(frozen=True)
+class Shunt(Component):
+    """A shunt at a bus: draws ``g vm²`` active and injects ``b vm²`` reactive power.
+
+    Parameters
+    ----------
+    bus
+        Name of its bus.
+    g, b
+        Power at 1 p.u. voltage, MW and MVAr.
+    """
+
+    kind: ClassVar[str] = "shunt"
+    plural: ClassVar[str] = "shunts"
+
+    bus: str = at_bus()
+    g: float = number("MW", 0.0, series=False)
+    b: float = number("MVAr", 0.0, series=False)
+    in_service: bool = flag(True)
+
+
+BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+"""The kinds of this package; devices of others bring their own."""

@@ -1,0 +1,106 @@
+"""Costs of producing active power."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+from opfmodel.errors import ComponentError
+from opfmodel.network.bounds import LARGEST, bounded
+from opfmodel.network.fields import is_number
+
+__all__ = ["Cost", "PiecewiseLinear", "Polynomial"]
+
+
+class Cost:
+    """Cost of producing active power, in $/h; convex."""
+
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` if this does not consist of numbers."""
+        raise NotImplementedError
+
+    def check(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` if this is not a convex cost."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Polynomial(Cost):
+    """Quadratic cost ``c2 p^2 + c1 p + c0`` with p in MW.
+
+    Parameters
+    ----------
+    c2, c1, c0
+        In $/MW²h, $/MWh and $/h; ``c2 >= 0``.
+    """
+
+    c2: float = 0.0
+    c1: float = 0.0
+    c0: float = 0.0
+
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless the coefficients are numbers."""
+        if not all(is_number(c) for c in (self.c2, self.c1, self.c0)):
+            raise ComponentError(name, key, self, "the coefficients must be finite numbers")
+
+    def check(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless the coefficients are finite and ``c2 >= 0``."""
+        if not all(map(bounded, (self.c2, self.c1, self.c0))):
+            rule = f"the coefficients must be finite numbers of at most {LARGEST:g}"
+            raise ComponentError(name, key, self, rule)
+        if self.c2 < 0:
+            raise ComponentError(name, key, self, "must be convex: c2 must be at least 0")
+
+
+@dataclass(frozen=True)
+class PiecewiseLinear(Cost):
+    """Convex piecewise-linear cost through points; the outer segments extend beyond the ends.
+
+    Parameters
+    ----------
+    points
+        ``((p, cost), ...)`` in MW and $/h, at least two, with increasing p and increasing slope.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", tuple(tuple(p) for p in self.points))
+
+    @property
+    def slopes(self) -> list[float]:
+        """Slope of each segment in $/MWh."""
+        return [(c1 - c0) / (p1 - p0) for (p0, c0), (p1, c1) in pairwise(self.points)]
+
+    @property
+    def segments(self) -> list[tuple[float, float]]:
+        """``(slope, offset)`` of each distinct line; the cost is the largest of the lines."""
+        lines: list[tuple[float, float]] = []
+        for (p, c), slope in zip(self.points[:-1], self.slopes, strict=True):
+            if not lines or not math.isclose(slope, lines[-1][0], rel_tol=1e-12, abs_tol=1e-12):
+                lines.append((slope, c - slope * p))
+        return lines
+
+    def check_types(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless every point is a pair of numbers."""
+        if any(len(point) != 2 for point in self.points):
+            raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
+        if not all(is_number(v) for point in self.points for v in point):
+            raise ComponentError(name, key, self, "the points must be finite numbers")
+
+    def check(self, name: str, key: str) -> None:
+        """Raise :class:`ComponentError` unless there are two points, in order, and the cost is convex."""
+        if len(self.points) < 2:
+            raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
+        if not all(bounded(v) for point in self.points for v in point):
+            raise ComponentError(name, key, self, f"the points must be finite numbers of at most {LARGEST:g}")
+        if any(a[0] >= b[0] for a, b in pairwise(self.points)):
+            raise ComponentError(name, key, self, "the points must have increasing MW")
+        if not all(map(bounded, self.slopes)):
+            raise ComponentError(name, key, self, f"the slopes must be at most {LARGEST:g} $/MWh")
+        for first, second in pairwise(self.slopes):
+            if second < first - 1e-9 * max(1.0, abs(first)):
+                raise ComponentError(
+                    name, key, self, f"must be convex: slope {second:g} follows {first:g} $/MWh"
+                )

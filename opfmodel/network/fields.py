@@ -1,0 +1,206 @@
+"""Fields: how a component's dataclass declares its quantities, and the checks of their values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, field
+from typing import Any, NamedTuple, TypeGuard
+
+import numpy as np
+
+from opfmodel.errors import ComponentError
+from opfmodel.network.bounds import LARGEST, bounded
+
+__all__ = [
+    "INF",
+    "TableField",
+    "at_bus",
+    "flag",
+    "is_flag",
+    "is_number",
+    "number",
+    "rules_of_number",
+    "rules_of_span",
+    "span",
+    "type_of_bus",
+    "type_of_flag",
+    "type_of_number",
+    "type_of_span",
+]
+
+INF = math.inf
+
+
+def number(
+    unit: str,
+    default: Any = MISSING,
+    *,
+    at_least: float = -INF,
+    above: float = -INF,
+    at_most: float = INF,
+    optional: bool = False,
+    finite: bool = True,
+    series: bool = True,
+) -> Any:
+    """Declare a field that holds one number.
+
+    Parameters
+    ----------
+    unit
+        One of :data:`opfmodel.network.units.UNITS`; arrays of the field are in per unit accordingly.
+    at_least, above, at_most
+        What values are accepted.
+    optional
+        Whether ``None`` is accepted; it means "no limit" and becomes infinity.
+    finite
+        Whether infinity is refused; a field that accepts it says "no limit" by it, in time series too.
+    series
+        Whether the field may change in time; coefficients of a program's equations do not.
+    """
+    metadata = {
+        "form": "number",
+        "unit": unit,
+        "at_least": at_least,
+        "above": above,
+        "at_most": at_most,
+        "optional": optional,
+        "finite": finite,
+        "series": series,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def span(
+    unit: str,
+    default: Any = MISSING,
+    *,
+    at_least: float = -INF,
+    symmetric: bool = False,
+    series: bool = True,
+) -> Any:
+    """Declare a field that holds ``(min, max)``; arrays of it are ``<field>_min`` and ``<field>_max``.
+
+    Parameters
+    ----------
+    symmetric
+        Whether a single number ``a`` stands for ``(-a, a)``.
+    series
+        As for :func:`number`.
+    """
+    metadata = {"form": "span", "unit": unit, "at_least": at_least, "symmetric": symmetric, "series": series}
+    return field(default=default, metadata=metadata)
+
+
+def at_bus() -> Any:
+    """Declare a field that names a bus; the array of it holds bus positions."""
+    return field(metadata={"form": "bus", "unit": "", "series": False})
+
+
+def flag(default: bool) -> Any:
+    """Declare a field that is true or false."""
+    return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
+
+
+class TableField(NamedTuple):
+    """A quantity that the arrays of a kind of component have.
+
+    Attributes
+    ----------
+    form, unit
+        Form and unit of the field that it comes from.
+    series
+        Whether it may have a time series.
+    """
+
+    form: str
+    unit: str
+    series: bool
+
+
+# Checks: the types always hold, the rules of what is in service ------------------------------------
+
+_FINITE = f"must be a finite number of at most {LARGEST:g}"
+# Made once: they are asked for some ten times for every component of a network file.
+_NUMBERS = (float, int, np.integer, np.floating)
+_FLAGS = (bool, np.bool_)
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a number; a truth value is none."""
+    return isinstance(value, _NUMBERS) and not isinstance(value, bool)
+
+
+def is_flag(value: object) -> TypeGuard[bool]:
+    """Whether a value is a truth value."""
+    return isinstance(value, _FLAGS)
+
+
+def type_of_number(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is a number."""
+    if not (is_number(value) or (value is None and rules["optional"])):
+        raise ComponentError(name, key, value, f"must be a number in {_unit(rules)}")
+
+
+def rules_of_number(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` for a number that its field does not accept."""
+    if value is None:
+        return
+    if not bounded(value) and (rules["finite"] or abs(value) != INF):
+        raise ComponentError(name, key, value, _FINITE)
+    if value < rules["at_least"]:
+        raise ComponentError(name, key, value, f"must be at least {rules['at_least']:g}")
+    if value <= rules["above"]:
+        raise ComponentError(name, key, value, f"must be greater than {rules['above']:g}")
+    if value > rules["at_most"]:
+        raise ComponentError(name, key, value, f"must be at most {rules['at_most']:g}")
+
+
+def type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is a pair of numbers, or one number."""
+    if rules["symmetric"] and is_number(value):
+        return
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
+    if not all(is_number(end) for end in value):
+        raise ComponentError(name, key, value, f"both ends must be numbers in {_unit(rules)}")
+
+
+def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` for a range that its field does not accept."""
+    if is_number(value):
+        if not (bounded(value) or abs(value) == INF):
+            raise ComponentError(name, key, value, _FINITE)
+        if value < 0:
+            raise ComponentError(
+                name, key, value, "a single number stands for (-a, a); it must be at least 0"
+            )
+        return
+    low, high = value
+    if not all(bounded(end) or abs(end) == INF for end in (low, high)):
+        rule = f"both ends must be numbers in {_unit(rules)} of at most {LARGEST:g}, or infinite"
+        raise ComponentError(name, key, value, rule)
+    if low > high:
+        raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
+    if low == INF or high == -INF:
+        raise ComponentError(
+            name, key, value, "the minimum must be below infinity, the maximum above -infinity"
+        )
+    if low < rules["at_least"]:
+        raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")
+
+
+def type_of_flag(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is true or false."""
+    if not is_flag(value):
+        raise ComponentError(name, key, value, "must be true or false")
+
+
+def type_of_bus(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value names a bus."""
+    if not (isinstance(value, str) and value):
+        raise ComponentError(name, key, value, "must be the name of a bus")
+
+
+def _unit(rules: Mapping[str, Any]) -> str:
+    return str(rules["unit"]) or "plain numbers"

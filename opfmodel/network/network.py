@@ -1,0 +1,202 @@
+"""The network: named components on a common power base.
+
+    >>> import opfmodel as om
+    >>> grid = om.Network("two-bus", base_mva=100)
+    >>> grid.north = om.Bus(vm=(0.95, 1.05), reference=True)
+    >>> grid.south = om.Bus(vm=(0.95, 1.05))
+    >>> grid.tie = om.Branch("north", "south", r=0.01, x=0.1, rating=120)
+    >>> grid.coal = om.Generator("north", p=(0, 200), cost=om.Polynomial(0.01, 15, 0))
+    >>> grid.town = om.Load("south", p=90, q=30)
+    >>> grid
+    Network('two-bus': 2 buses, 1 branch, 1 generator, 1 load)
+
+An assigned attribute names the component; loops use :meth:`Network.add`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
+from opfmodel.network.bounds import BASE_MVA
+from opfmodel.network.component import Component, plain_value
+from opfmodel.network.components import Generator, Load, Storage
+from opfmodel.network.fields import INF, is_number
+
+__all__ = ["Network", "name_pattern"]
+
+C = TypeVar("C", bound="Component")
+
+
+class Network:
+    """Named components on a common power base.
+
+    Parameters
+    ----------
+    name
+        Name of the network.
+    base_mva
+        Power base of the impedances and admittances of its branches, from 1e-6 to 1e9 MVA. No result depends
+        on it: inside, everything is per unit on :attr:`scale_mva`.
+
+    Examples
+    --------
+    ``grid.north = Bus()`` and ``grid.add("north", Bus())`` are the same;
+    ``grid["north"]`` and ``grid.north`` read it back.
+    """
+
+    name: str
+    base_mva: float
+    _components: dict[str, Component]
+
+    def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
+        least, most = BASE_MVA
+        if not is_number(base_mva) or not least <= base_mva <= most:
+            raise NetworkError(
+                f"network {name!r}: base_mva = {base_mva!r}: must be a number from {least:g} to {most:g} MVA"
+            )
+        if fault := name_fault(str(name)):
+            raise NetworkError(f"network {name!r}: the name {fault}")
+        object.__setattr__(self, "name", str(name))
+        object.__setattr__(self, "base_mva", float(base_mva))
+        object.__setattr__(self, "_components", {})
+
+    @property
+    def capacity_mva(self) -> float:
+        """The largest of what generators, loads and storages can exchange, MW; 0 if nothing is limited."""
+        generators, storages = self.of(Generator).values(), self.of(Storage).values()
+        sums = (
+            sum(abs(g.p[1]) for g in generators if g.in_service and abs(g.p[1]) < INF),
+            sum(abs(load.p) for load in self.of(Load).values() if load.in_service),
+            sum(s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service),
+        )
+        return float(max(sums))
+
+    @property
+    def scale_mva(self) -> float:
+        """Power base on which the quantities of the system are of the order of one, MVA.
+
+        100 MVA, or for a smaller system the power of ten at or below its capacity. It does not depend on
+        ``base_mva``, so that neither do results.
+        """
+        capacity = self.capacity_mva
+        return min(100.0, 10.0 ** math.floor(math.log10(capacity))) if capacity > 0 else 100.0
+
+    def add(self, name: str, component: Component) -> Component:
+        """Declare a component under a name.
+
+        Raises
+        ------
+        NetworkError
+            The name is taken, or has characters that cannot be seen.
+        ComponentError
+            A field of the component breaks its rule; of a component out of service only the types
+            of fields are checked, see :meth:`Component.check_declared`.
+        """
+        if not isinstance(component, Component):
+            raise NetworkError(
+                f"network {self.name!r}: {name} = {component!r} is not a component (Bus, Branch, ...)"
+            )
+        name = str(name)
+        if fault := name_fault(name):
+            raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
+        if name in self._components:
+            raise NetworkError(
+                f"network {self.name!r}: the name {name!r} is taken by a {self._components[name].kind}; "
+                "names must be unique"
+            )
+        component.check_declared(name)
+        self._components[name] = component
+        return component
+
+    def update(self, name: str, /, **changes: Any) -> Component:
+        """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
+
+        Rules are checked as by :meth:`add`, so that a component put in service,
+        ``grid.update("coal", in_service=True)``, must keep all of them from then on.
+        """
+        old = self[name]
+        for key, value in changes.items():
+            if key not in old.fields():
+                raise ComponentError(
+                    name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}"
+                )
+        new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
+        new.check_declared(name)
+        self._components[name] = new
+        return new
+
+    def remove(self, name: str) -> Component:
+        """Take a component out of the network."""
+        component = self[name]
+        del self._components[name]
+        return component
+
+    def of(self, kind: type[C]) -> dict[str, C]:
+        """All components of a class, by name, in the order of their declaration."""
+        return {n: c for n, c in self._components.items() if isinstance(c, kind)}
+
+    def kinds(self) -> list[type[Component]]:
+        """Classes of which there are components, in the order of their first declaration."""
+        return list(dict.fromkeys(type(c) for c in self._components.values()))
+
+    def copy(self) -> Network:
+        """A network with the same components, to be changed independently."""
+        twin = Network(self.name, self.base_mva)
+        twin._components.update(self._components)
+        return twin
+
+    def __getitem__(self, name: str) -> Component:
+        try:
+            return self._components[str(name)]
+        except KeyError:
+            raise NetworkError(
+                f"network {self.name!r} has no component {name!r}; {nearest(str(name), self._components)}"
+            ) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._components
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._components)
+
+    def __len__(self) -> int:
+        return len(self._components)
+
+    def __getattr__(self, name: str) -> Component:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except NetworkError as error:
+            raise AttributeError(str(error)) from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(type(self), name) or name in ("name", "base_mva"):
+            raise NetworkError(
+                f"network {self.name!r}: {name!r} is a word of Network itself; use add({name!r}, ...) "
+                "or another name"
+            )
+        self.add(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        self.remove(name)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._components]
+
+    def __repr__(self) -> str:
+        counts = []
+        for kind in self.kinds():
+            n = len(self.of(kind))
+            counts.append(f"{n} {kind.kind if n == 1 else kind.plural}")
+        return f"Network({self.name!r}: {', '.join(counts) or 'empty'})"
+
+
+def name_pattern(name: str) -> re.Pattern[str]:
+    """The names that a name with stars stands for: ``gas*`` is every name that begins with ``gas``."""
+    return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))
