@@ -27,7 +27,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
-from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
+from opfmodel.study import (
+    execution,
+    provenance,
+    read_study,
+    read_table,
+    run_study,
+    runner,
+    specification,
+    store,
+)
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Snapshot
 
@@ -748,6 +757,52 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
     ]
     assert "changed after the study had read it" in outcome.notes[0]
     assert results(out) == results(folder / "undisturbed")
+
+
+def test_a_scenario_edited_between_two_looks_at_it_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run would have the key of the one content and the results of the other."""
+    study = read_study(folder / "study.yaml")
+    undisturbed = specification.read_document
+
+    def edited(path: Path) -> Any:
+        path.write_text(TINY.replace("c1: 20", "c1: 21"))
+        return undisturbed(path)
+
+    monkeypatch.setattr(specification, "read_document", edited)
+    with pytest.raises(ScenarioError, match=r"tiny\.yaml: changed while it was read"):
+        run_study(study, folder / "out", workers=0)
+
+
+def test_a_plugin_that_ends_the_program_fails_its_run_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(execution, "_figures", lambda _: sys.exit(0))
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.failed, outcome.waiting) == (6, 0)
+    assert results(folder / "out")[0]["error"] == "SystemExit: 0"
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_a_repository_runs_nothing_of_its_own(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True, capture_output=True)
+
+    git("init")
+    (tmp_path / "study.yaml").write_text(GRID)
+    git("add", "study.yaml")
+    git("-c", "user.name=a", "-c", "user.email=a@example.org", "commit", "-m", "a")
+    watcher = tmp_path / "watch"
+    watcher.write_text(f"#!/bin/sh\ntouch {tmp_path / 'ran'}\n")
+    watcher.chmod(0o755)
+    git("config", "core.fsmonitor", str(watcher))
+    found = provenance.revision(tmp_path)
+    assert found is not None
+    assert re.fullmatch("[0-9a-f]{40}", found)
+    assert not (tmp_path / "ran").exists()
+    (tmp_path / "study.yaml").write_text(GRID + "# more\n")
+    assert provenance.revision(tmp_path) == found + "+"
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,8 @@ def local_cluster(workers: int, memory: str | None) -> Iterator[SpecCluster]:
     StudyError
         A worker did not start.
     """
-    with tempfile.TemporaryDirectory(prefix="opfmodel-") as own, _configured(own), _one_thread():
+    folder = tempfile.TemporaryDirectory(prefix="opfmodel-", ignore_cleanup_errors=True)
+    with folder as own, _configured(own), _one_thread():
         place = {"host": "127.0.0.1", "protocol": "tls://", "security": Security.temporary()}
         options = {
             "worker_class": _Worker,
