@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
-from opfmodel.study import execution, read_study, read_table, run_study, runner, specification, store
+from opfmodel.study import (
+    execution,
+    provenance,
+    read_study,
+    read_table,
+    run_study,
+    runner,
+    specification,
+    store,
+)
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Snapshot
 
@@ -750,6 +760,52 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
     assert results(out) == results(folder / "undisturbed")
 
 
+def test_a_scenario_edited_between_two_looks_at_it_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run would have the key of the one content and the results of the other."""
+    study = read_study(folder / "study.yaml")
+    undisturbed = specification.read_document
+
+    def edited(path: Path) -> Any:
+        path.write_text(TINY.replace("c1: 20", "c1: 21"))
+        return undisturbed(path)
+
+    monkeypatch.setattr(specification, "read_document", edited)
+    with pytest.raises(ScenarioError, match=r"tiny\.yaml: changed while it was read"):
+        run_study(study, folder / "out", workers=0)
+
+
+def test_a_plugin_that_ends_the_program_fails_its_run_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(execution, "_figures", lambda _: sys.exit(0))
+    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    assert (outcome.failed, outcome.waiting) == (6, 0)
+    assert results(folder / "out")[0]["error"] == "SystemExit: 0"
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_a_repository_runs_nothing_of_its_own(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True, capture_output=True)
+
+    git("init")
+    (tmp_path / "study.yaml").write_text(GRID)
+    git("add", "study.yaml")
+    git("-c", "user.name=a", "-c", "user.email=a@example.org", "commit", "-m", "a")
+    watcher = tmp_path / "watch"
+    watcher.write_text(f"#!/bin/sh\ntouch {tmp_path / 'ran'}\n")
+    watcher.chmod(0o755)
+    git("config", "core.fsmonitor", str(watcher))
+    found = provenance.revision(tmp_path)
+    assert found is not None
+    assert re.fullmatch("[0-9a-f]{40}", found)
+    assert not (tmp_path / "ran").exists()
+    (tmp_path / "study.yaml").write_text(GRID + "# more\n")
+    assert provenance.revision(tmp_path) == found + "+"
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -757,6 +813,7 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
         {"workers": 2, "scheduler": "tcp://127.0.0.1:1"},
         {"workers": 0, "memory": "much"},
         {"workers": 0, "memory": "0"},
+        {"workers": 0, "memory": "10MB"},
         {"scheduler": "nonsense"},
     ],
 )
@@ -977,11 +1034,20 @@ def test_whatever_is_killed_nothing_is_lost(
     assert workers_killed >= 3
 
 
+def spawned(pid: int) -> list[psutil.Process]:
+    """The worker processes of a study."""
+    found = []
+    for child in psutil.Process(pid).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.append(child)
+    return found
+
+
 def kill_a_worker(pid: int, chance: random.Random) -> int:
     """Kill one worker process, if there is one yet; how many were."""
     try:
-        children = psutil.Process(pid).children(recursive=True)
-        workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        workers = spawned(pid)
         if not workers:
             return 0
         chance.choice(workers).kill()
@@ -990,17 +1056,19 @@ def kill_a_worker(pid: int, chance: random.Random) -> int:
     return 1
 
 
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+@contextmanager
+def running_scheduler(
+    folder: Path, *options: str, env: dict[str, str] | None = None
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A scheduler with two workers on the loopback device: its address and its process."""
-    file, started = tmp_path / "scheduler.json", []
+    file, started = folder / "scheduler.json", []
 
     def dask(*arguments: str) -> None:
         command = [sys.executable, "-m", "dask", *arguments, "--no-dashboard"]
-        started.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL))
+        started.append(subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL, env=env))
 
     try:
-        dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), *options)
         while not file.exists():
             assert started[0].poll() is None
             time.sleep(0.05)
@@ -1012,6 +1080,121 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
         for process in reversed(started):
             process.terminate()
             process.wait()
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler that anybody on this machine can connect to."""
+    with running_scheduler(tmp_path) as running:
+        yield running
+
+
+# What somebody without the keys and, if the tests are run by the superuser, without rights can do at a port:
+# send what a web browser sends, or ask Dask to run a function, plainly or with other keys.
+STRANGER = """
+import asyncio, json, os, pickle, socket, sys
+import distributed.comm.tcp
+from distributed import Security
+from distributed.core import connect
+
+strange = Security.temporary()
+if os.geteuid() == 0:  # after the imports, since Python itself may be in a home that others cannot enter
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+
+def web(port):
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
+        line.sendall(b"GET / HTTP/1.0\\r\\n\\r\\n")
+        try:
+            return line.recv(100).decode("latin-1")
+        except OSError as error:
+            return type(error).__name__
+
+async def dask(address, security, operation):
+    arguments = security.get_connection_args("client")
+    try:
+        comm = await asyncio.wait_for(connect(address, timeout=5, **arguments), 10)
+    except (OSError, TimeoutError, ValueError) as error:  # ValueError: TLS where there is none
+        return f"refused: {type(error).__name__}"
+    try:
+        await comm.write({"op": operation, "function": pickle.dumps(os.getpid), "wait": True, "reply": True})
+        return f"answered: {await asyncio.wait_for(comm.read(), 10)}"
+    except (OSError, TimeoutError):
+        return "connected"
+    finally:
+        comm.abort()
+
+async def tried(port):
+    return {
+        "user": os.getuid(),
+        "web": web(port),
+        **{
+            f"{keys} {operation}": await dask(f"{scheme}://127.0.0.1:{port}", security, operation)
+            for keys, scheme, security in (("no", "tcp", Security(require_encryption=False)), ("other", "tls", strange))
+            for operation in ("run", "run_function")  # of workers, and of schedulers
+        },
+    }
+
+print(json.dumps({port: asyncio.run(tried(int(port))) for port in sys.argv[1:]}))
+"""
+
+
+def listening(pid: int) -> dict[int, str]:
+    """Addresses by port on which a process and its children listen."""
+    process = psutil.Process(pid)
+    found = [c for p in (process, *process.children(recursive=True)) for c in p.net_connections("inet")]
+    return {c.laddr.port: c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN}
+
+
+def tried_by_a_stranger(ports: list[int]) -> dict[str, dict[str, Any]]:
+    command = [sys.executable, "-c", STRANGER, *map(str, ports)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, dict[str, Any]] = json.loads(done.stdout)
+    assert all(tries["user"] != 0 for tries in found.values())
+    return found
+
+
+@pytest.mark.slow
+def test_nobody_without_the_keys_can_connect_to_a_local_cluster(folder: Path) -> None:
+    (folder / "slow.yaml").write_text(
+        f"scenario: {CASE5}\nset: {{time.steps: 20}}\nvary: {{controller.regularisation: {list(range(1, 40))}}}\n"
+    )
+    (folder / "tmp").mkdir()
+    own = {**os.environ, "TMPDIR": str(folder / "tmp")}
+    process = start("run", folder / "slow.yaml", "--out", folder / "out", "--workers", 2, env=own)
+    try:
+        wait_for_records(folder / "out", 1, process)
+        files = list((folder / "tmp").iterdir())
+        modes = {path.name: path.stat().st_mode & 0o777 for path in files}
+        ports = listening(process.pid)
+        found = tried_by_a_stranger(list(ports))
+        assert process.poll() is None
+    finally:
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=120)
+    assert err == ""
+
+    assert modes
+    assert all(mode == 0o700 for mode in modes.values()), modes  # processes import from there
+    assert len(ports) == 5  # a scheduler, two workers and those that watch them; nothing for web pages
+    assert set(ports.values()) == {"127.0.0.1"}
+    for port, tries in found.items():
+        assert "HTTP" not in tries["web"], port
+        answers = [answer for name, answer in tries.items() if name not in ("user", "web")]
+        assert len(answers) == 4
+        assert all(answer.startswith("refused: ") for answer in answers), (port, answers)
+
+
+@pytest.mark.slow
+def test_a_stranger_would_be_noticed(scheduler: tuple[str, subprocess.Popen[bytes]]) -> None:
+    """What the test above looks for is there where nothing is protected."""
+    ports = listening(scheduler[1].pid)
+    found = tried_by_a_stranger(list(ports))
+    assert any("HTTP" in tries["web"] for tries in found.values())
+    ran = f"answered: {{'status': 'OK', 'result': {scheduler[1].pid}}}"
+    assert any(tries["no run_function"] == ran for tries in found.values()), found
 
 
 @pytest.mark.slow
@@ -1028,6 +1211,32 @@ def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
     processes = {row["provenance_process"] for row in read_table(tmp_path / "out")}
     assert len(processes) == 2
     assert not processes & {os.getpid()}
+
+
+@pytest.mark.slow
+def test_a_running_scheduler_can_have_keys_by_dasks_own_configuration(folder: Path) -> None:
+    from distributed import Security
+
+    keys, env = Security.temporary(), dict(os.environ)
+    (folder / "key.pem").write_text(keys.tls_client_key)
+    (folder / "cert.pem").write_text(keys.tls_client_cert)
+    env["DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION"] = "True"
+    env["DASK_DISTRIBUTED__COMM__TLS__CA_FILE"] = str(folder / "cert.pem")
+    for role in ("CLIENT", "SCHEDULER", "WORKER"):
+        env[f"DASK_DISTRIBUTED__COMM__TLS__{role}__KEY"] = str(folder / "key.pem")
+        env[f"DASK_DISTRIBUTED__COMM__TLS__{role}__CERT"] = str(folder / "cert.pem")
+    with running_scheduler(folder, "--protocol", "tls", env=env) as (address, _):
+        assert address.startswith("tls://")
+        run = ("run", folder / "study.yaml", "--out", folder / "out", "--scheduler", address, "--json")
+        process = start(*run, env=env)
+        out, err = process.communicate(timeout=300)
+        assert (process.returncode, err) == (0, "")
+        assert json.loads(out)["done"] == 6
+        for scheme in ("tls", "tcp"):  # without the keys
+            other = address.replace("tls", scheme)
+            code, _, err = finish(*run[:4], "--scheduler", other, "--retry", "all")
+            assert code == 2
+            assert re.fullmatch(rf"error: no scheduler answers at '{other}': .*\n", err)
 
 
 @pytest.mark.slow
@@ -1061,6 +1270,59 @@ def test_a_scheduler_that_does_not_answer_is_said(folder: Path, monkeypatch: pyt
     ):
         with pytest.raises(StudyError, match=said):
             run_study(read_study(folder / "study.yaml"), folder / "out", scheduler=address)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["os.kill(os.getpid(), signal.SIGKILL)", "os._exit(3)"])
+def test_a_worker_that_dies_as_it_starts_is_one_sentence(end: str, folder: Path) -> None:
+    lines = ["import os, signal, sys", "if 'spawn_main' in ' '.join(sys.orig_argv):", f"    {end}", ""]
+    (folder / "sitecustomize.py").write_text("\n".join(lines))
+    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 2)
+    process = start(*run, env={**os.environ, "PYTHONPATH": str(folder)})
+    out, err = process.communicate(timeout=300)
+    assert (process.returncode, out) == (2, "")
+    assert re.fullmatch(r"error: the workers could not be started: .*\n", err)
+    assert {row["status"] for row in read_table(folder / "out")} == {"waiting"}
+    code, out, err = finish(*run)
+    assert (code, err) == (0, "")
+
+
+@pytest.mark.slow
+def test_workers_that_die_whenever_they_start_end_the_study(folder: Path) -> None:
+    code = "from opfmodel.study import workers; workers._SECONDS_IDLE = 5.0; from opfmodel import cli; cli.main()"
+    run = ["study", "run", str(folder / "study.yaml"), "--out", str(folder / "out"), "--workers", "1"]
+    command = [sys.executable, "-c", code, *run, "--memory", "100MB"]  # less than an idle one takes
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(r"error: no worker has taken up a run for 5 s: .*--memory.*\n", done.stderr)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.0, 2.0])
+def test_ctrl_c_while_the_workers_start_leaves_nothing(seconds: float, folder: Path) -> None:
+    (folder / "tmp").mkdir()
+    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 2, "--json")
+    process = start(*run, env={**os.environ, "TMPDIR": str(folder / "tmp")})
+    while not (workers := spawned(process.pid)):
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (1, "")
+    assert json.loads(out)["interrupted"]
+    assert list((folder / "tmp").iterdir()) == []
+    assert psutil.wait_procs(workers, timeout=60)[1] == []
+
+
+def test_the_environment_of_workers_is_put_back() -> None:
+    from opfmodel.study.cluster import _one_thread
+
+    before = dict(os.environ)
+    with _one_thread():
+        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+        os.environ["MALLOC_TRIM_THRESHOLD_"] = "65536"
+    assert dict(os.environ) == before
 
 
 @pytest.mark.slow

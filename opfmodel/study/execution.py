@@ -69,7 +69,7 @@ def execute(specification: Specification) -> Record:
     with _ONE_AT_A_TIME:
         try:
             figures = _figures(specification)
-        except Exception as error:  # a plugin may raise anything, and the study goes on
+        except (Exception, SystemExit) as error:  # a plugin may raise anything, and the study goes on
             return failure(specification, error, time.perf_counter() - began)
     times = {f"time_{name}": value for name, value in figures.items() if "seconds" in name}
     result = {name: value for name, value in figures.items() if "seconds" not in name}

@@ -57,7 +57,11 @@ def machine() -> dict[str, Any]:
 
 
 def revision(folder: Path) -> str | None:
-    """Git revision of a folder, with ``+`` if files there were changed; None outside a repository."""
+    """Git revision of a folder, with ``+`` if files there were changed; None outside a repository.
+
+    Git is told not to run the program that a repository may name to watch its files, nor to lock the
+    repository, in which its owner may be at work.
+    """
     try:
         commit = _git(folder, "rev-parse", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
@@ -67,7 +71,6 @@ def revision(folder: Path) -> str | None:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=60
-    )
-    return done.stdout.strip()
+    git = ["git", "--no-optional-locks", "-c", "core.fsmonitor=false", "-C", str(folder)]
+    done = subprocess.run([*git, *arguments], capture_output=True, check=True, timeout=60)
+    return done.stdout.decode("utf-8", "backslashreplace").strip()

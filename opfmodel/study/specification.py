@@ -117,8 +117,10 @@ class Snapshot:
     def _specification(self, variation: Variation) -> Specification:
         path = variation.scenario
         if path not in self._documents:
-            self._file(path)
+            before = self._file(path)
             self._documents[path] = read_document(path)
+            if not _holds(path, before):
+                raise ScenarioError(f"{path}: changed while it was read; start again")
         document = self._documents[path]
         try:
             content = laid_over(document, variation.variant, variation.overrides)

@@ -7,7 +7,9 @@ written by the process that holds the study's folder.
 from __future__ import annotations
 
 import logging
+import math
 import re
+import time
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -19,7 +21,6 @@ from opfmodel.errors import StudyError
 from opfmodel.study.execution import Record, execute, failure
 from opfmodel.study.progress import Watcher
 from opfmodel.study.specification import Specification
-from solvers.threads import THREAD_VARIABLES
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -27,22 +28,10 @@ if TYPE_CHECKING:
 __all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster"]
 
 _ADDRESS = re.compile(r"(\w+://)?([^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]):[0-9]{1,5}(/\S*)?")
-_DEATHS = 3  # of workers over one run, before it is given up
 _PATIENCE = 30.0  # seconds to wait for a scheduler, and for a first worker
+_SECONDS_IDLE = 120.0  # without a run in work, after which workers are taken to die as they start
 _GLANCE = 0.5  # seconds between two looks at what the workers do
-
-# Ctrl-C reaches every process of a terminal; workers leave it to the one that started them.
-_IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-
-_CONFIGURATION = {
-    "distributed.scheduler.allowed-failures": _DEATHS - 1,
-    "distributed.scheduler.worker-ttl": None,  # a long solve is no sign of death; a closed connection is
-    # nothing is kept in a worker's memory that could be spilled, and to pause would be for ever
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.terminate": 0.95,
-}
+_LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone take more
 
 
 def check_crew(scheduler: str | None, memory: str | None) -> None:
@@ -51,11 +40,11 @@ def check_crew(scheduler: str | None, memory: str | None) -> None:
         from dask.utils import parse_bytes
 
         try:
-            enough = parse_bytes(memory) > 0
+            enough = parse_bytes(memory) >= _LEAST_MEMORY
         except ValueError:
             enough = False
         if not enough:
-            raise StudyError(f"memory = {memory!r}: must be an amount such as 2GiB or 600MB")
+            raise StudyError(f"memory = {memory!r}: must be an amount such as 2GiB or 600MB, at least 100MB")
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise StudyError(f"scheduler = {scheduler!r}: must be an address such as tcp://10.0.0.1:8786")
 
@@ -78,25 +67,18 @@ def on_local_cluster(
         Number of processes.
     memory
         What each may use, such as ``"2 GiB"``; by default an equal share of the machine's.
-    """
-    import dask
-    from distributed import Client, LocalCluster
 
-    with dask.config.set(_CONFIGURATION):
-        try:
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                memory_limit=memory or "auto",
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-                env=dict.fromkeys(THREAD_VARIABLES, "1"),
-                preload=[_IGNORE_CTRL_C],
-            )
-        except ValueError as error:
-            raise StudyError(f"memory = {memory!r}: {error}") from error
-        with cluster, Client(cluster) as client:
-            yield from _runs(client, specifications, watcher)
+    Raises
+    ------
+    StudyError
+        The workers do not start, or die before they take up a run.
+    """
+    from distributed import Client
+
+    from opfmodel.study.cluster import local_cluster
+
+    with local_cluster(workers, memory) as cluster, Client(cluster) as client:
+        yield from _runs(client, specifications, watcher, patience=_SECONDS_IDLE)
 
 
 def on_cluster(
@@ -114,7 +96,12 @@ def on_cluster(
     with _quiet():
         try:
             client = Client(scheduler, timeout=_PATIENCE)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (
+            OSError,
+            ValueError,
+            TypeError,
+            RuntimeError,
+        ) as error:  # the last two: TLS without keys, or none
             raise StudyError(f"no scheduler answers at {scheduler!r}: {error}") from error
         with client:
             try:
@@ -126,13 +113,25 @@ def on_cluster(
             yield from _runs(client, specifications, watcher)
 
 
-def _runs(client: Client, specifications: Sequence[Specification], watcher: Watcher) -> Generator[Record]:
-    """Keep every worker busy with one run, and yield the records as they come."""
+def _runs(
+    client: Client,
+    specifications: Sequence[Specification],
+    watcher: Watcher,
+    patience: float = math.inf,
+) -> Generator[Record]:
+    """Keep every worker busy with one run, and yield the records as they come.
+
+    Parameters
+    ----------
+    patience
+        Seconds without a run in work after which to give up; workers of a cluster come and go.
+    """
     from distributed import wait
 
     address = client.scheduler.address
     waiting = deque(specifications)
     running: dict[Future, Specification] = {}
+    seen = time.monotonic()
     try:
         while waiting or running:
             # one run per worker: a worker that dies takes one run with it and throws suspicion on no other
@@ -140,12 +139,24 @@ def _runs(client: Client, specifications: Sequence[Specification], watcher: Watc
                 specification = waiting.popleft()
                 name = f"opfmodel-{specification.key}-{uuid4().hex[:8]}"
                 running[client.submit(execute, specification, key=name, pure=False)] = specification
-            watcher.running(_work(client, running))
+            work = _work(client, running)
+            watcher.running(work)
+            if work:
+                seen = time.monotonic()
+            elif time.monotonic() - seen > patience:
+                raise StudyError(
+                    f"no worker has taken up a run for {patience:g} s: they die as they start, most likely "
+                    "for want of memory; give each more (--memory) or have fewer of them (--workers)"
+                )
+            if not running:
+                time.sleep(_GLANCE)
+                continue
             try:
                 done = wait(list(running), timeout=_GLANCE, return_when="FIRST_COMPLETED").done
             except TimeoutError:
                 continue
             for future in done:
+                seen = time.monotonic()
                 yield _record(future, running.pop(future))
     except (CancelledError, OSError) as error:  # the connection broke
         raise StudyError(
