@@ -16,7 +16,7 @@ FORMULATIONS = ("ac", "ac-rectangular", "soc", "dc-losses", "dc", "dc-matpower",
 def solve(formulation: str) -> om.Plan:
     """The first plan, from the same dispatch for every formulation."""
     scenario = om.load_scenario(SCENARIO, overrides={"controller.formulation": formulation})
-    return scenario.problem().solve(initial=scenario.initial())
+    return scenario.problem.solve(initial=scenario.initial())
 
 
 def table() -> str:

@@ -74,11 +74,11 @@ def starts(name: str, quick: bool) -> dict[str, Any]:
     first, count = WINDOWS[name]
     overrides = {"controller.horizon": 6} if quick else {}
     scenario = om.load_scenario(SCENARIOS / f"{name}.yaml", overrides=overrides)
-    problem = scenario.problem()
+    problem = scenario.problem
     instances, cold = _loop(problem, scenario, first, count)
     rows: dict[str, Any] = {"cold": _figures(cold[1:])}
     for label, (keep, options) in STARTS.items():
-        other = scenario.problem()
+        other = problem.variant(elastic=None)
         other.options = options
         session = other._compiled[2]
         rows[label] = _figures(

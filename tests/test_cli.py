@@ -15,6 +15,7 @@ import pytest
 from conftest import DATA, SCENARIOS
 
 from opfmodel import cli
+from opfmodel.cli.show import comparisons
 from opfmodel.results import load
 from opfmodel.study.comparison import Comparison
 
@@ -241,12 +242,13 @@ def test_no_escape_reaches_the_terminal(call: Call, arguments: tuple) -> None:
 
 def test_names_in_tables_are_text_not_markup(capsys: pytest.CaptureFixture[str]) -> None:
     costs = dict.fromkeys(("J_e", "J_s", "J_t", "J_b"))
-    cli._print_comparisons([Comparison("[/red]a\x1b[1m", costs, {}, {})])
+    comparisons([Comparison("[/red]a\x1b[1m", costs, {}, {})])
     assert "[/red]a\\x1b[1m" in capsys.readouterr().out
 
 
 def test_all_printing_passes_one_function() -> None:
-    printing = [line for line in Path(cli.__file__).read_text().splitlines() if " print(" in line]
+    sources = [path.read_text() for path in Path(cli.__file__).parent.glob("*.py")]
+    printing = [line for source in sources for line in source.splitlines() if " print(" in line]
     assert printing
     assert all("print(visible(" in line for line in printing)
 

@@ -218,14 +218,14 @@ def test_constraints_of_a_scenario_hold_in_its_closed_loop(tmp_path: Path) -> No
 def test_the_reserve_of_a_scenario_equals_that_in_python(tmp_path: Path) -> None:
     text = SCENARIO.replace("at_least: 100", "at_least: 111")
     listed = scenario(tmp_path, text)
-    plan = listed.problem().solve()
+    plan = listed.problem.solve()
     same = om.MultiStage(listed.network, 2, formulation="dc")
     same.constrain("export", lambda s: s.branch.pf[[0]], at_most=[80, 70])
     same.constrain("reserve", lambda s: reserve(s) >= 111)
     same.constrain("mix", lambda s: s.generator.pg[[1]] - s.generator.pg[[2]] == 0)
     assert plan.status == same.solve().status == "proven_infeasible"  # 200 MW of 90 leave 110
     override = {"constraints.reserve.at_least": 110.0}
-    assert scenario(tmp_path, text, overrides=override).problem().solve().optimal
+    assert scenario(tmp_path, text, overrides=override).problem.solve().optimal
 
 
 def test_a_number_of_the_network_follows_its_time_series(tmp_path: Path) -> None:
@@ -233,14 +233,14 @@ def test_a_number_of_the_network_follows_its_time_series(tmp_path: Path) -> None
     text = SCENARIO.replace("at_least: 100", "at_least: 90").replace("mix:", "mox:")
     text = text.replace("gas2.pg: -2", "gas2.pg: 0").replace("equal: 0", "at_least: 0")
     text += "profiles: [{table: {file: wind.csv}}]\n"
-    plans = [scenario(tmp_path, text).problem().solve(time) for time in (0, 2)]
+    plans = [scenario(tmp_path, text).problem.solve(time) for time in (0, 2)]
     assert [plan.status for plan in plans] == ["globally_optimal", "proven_infeasible"]  # 200 - 90, 180 - 90
 
 
 def test_a_limit_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "limits.csv").write_text("# MW\nhour,export\n0,80\n1,70\n2,60\n3,50\n")
     text = SCENARIO.replace("[80, 70, 60, 50]", "{file: limits.csv, column: export}")
-    assert scenario(tmp_path, text).constraints["export"].at_most.tolist() == [80, 70, 60, 50]
+    assert scenario(tmp_path, text).problem.constraints["export"].at_most.tolist() == [80, 70, 60, 50]
     for old, new, message in (
         ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
         ("limits.csv", "none.csv", "none.csv: there is no such file"),
@@ -254,7 +254,7 @@ def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
     text = SCENARIO.replace(
         "at_most: [80, 70, 60, 50]", "at_least: [0, 0, 0, 0, 0, 0], at_most: [80, 70, 60, 50, 40]"
     )
-    export = scenario(tmp_path, text).constraints["export"]
+    export = scenario(tmp_path, text).problem.constraints["export"]
     assert (export.at_least.tolist(), export.at_most.tolist()) == ([0, 0, 0, 0], [80, 70, 60, 50])
 
 
@@ -298,7 +298,7 @@ def test_the_constraints_of_the_page_are_read(tmp_path: Path) -> None:
     (block,) = re.findall(r"^    constraints:\n(?:      .*\n)+", page, flags=re.MULTILINE)
     (tmp_path / "contract.csv").write_text("tie\n50\n50\n50\n50\n")
     text = SCENARIO.partition("constraints:")[0] + textwrap.dedent(block)
-    constraints = scenario(tmp_path, text).constraints
+    constraints = scenario(tmp_path, text).problem.constraints
     assert set(constraints) == {"reserve", "export", "mix", "contract"}
     assert constraints["contract"].at_least.tolist() == [50.0] * 4
 

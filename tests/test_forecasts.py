@@ -15,6 +15,7 @@ from opfmodel import plugins
 from opfmodel.check import check
 from opfmodel.errors import ModelError, ProfileError, ScenarioError
 from opfmodel.forecasts import File, Forecast, Noisy, Perfect, Persistence
+from opfmodel.plugins import registry
 from opfmodel.testing import ContractError, check_forecast
 
 ACTUAL = om.Profiles.of(
@@ -233,7 +234,7 @@ def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
     assert (noisy.deviation, noisy.seed, noisy.correlation, noisy.fields) == (0.1, 4, 0.9, ("p",))
     write(tmp_path, "hour,town.p\n0,11\n1,12\n2,13\n")
     made = scenario(tmp_path, "forecast: {file: {file: forecast.csv}}")
-    plan = om.Controller(made.problem(), made.forecast).plan(0, None)
+    plan = om.Controller(made.problem, made.forecast).plan(0, None)
     assert plan.data["pg"].values[:, 0] == pytest.approx([11], abs=1e-3)
     run = made.simulate()
     assert run.data["pg_redispatch"].values[:, 0] == pytest.approx([1, 2, 3], abs=1e-2)
@@ -323,7 +324,7 @@ def test_an_inherited_constructor_has_the_types_of_its_options(
     class Mine(File):
         """What my file says."""
 
-    monkeypatch.setattr(plugins, "load", lambda sort, name: Mine)
+    monkeypatch.setattr(registry, "load", lambda sort, name: Mine)
     path = write(tmp_path, "town.p\n1\n")
     made = plugins.make("forecast", "mine", {"file": path.name}, {Path: lambda name: tmp_path / name})
     assert made.file == path

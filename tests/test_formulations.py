@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose
 
 import opfmodel as om
 import solvers
-from opfmodel.catalogue import catalogue
 from opfmodel.check import check
 from opfmodel.errors import ModelError
 from opfmodel.objectives.base import Objective
+from opfmodel.plugins.catalogue import catalogue
 
 FORMULATIONS = ("ac", "ac-rectangular", "soc", "dc-losses", "dc", "dc-matpower", "copperplate")
 KIND = dict.fromkeys(("ac", "ac-rectangular"), solvers.Kind.NONLINEAR)
@@ -129,7 +129,7 @@ def test_multi_stage_soc_is_a_lower_bound() -> None:
     for formulation in ("ac", "soc"):
         changes = {"controller.formulation": formulation}
         scenario = om.load_scenario(SCENARIOS / "case5-step.yaml", overrides=changes)
-        plans[formulation] = scenario.problem().solve(initial=scenario.initial())
+        plans[formulation] = scenario.problem.solve(initial=scenario.initial())
         assert plans[formulation].optimal
     assert 0.05 < plans["soc"].relaxation_gap(plans["ac"]) < 0.15
     assert plans["soc"].relaxation["largest_angle_mismatch"] > 0.1  # the cones are tight, a loop is not
@@ -143,7 +143,7 @@ def test_the_table_of_the_documentation_is_what_comes_out(formulation: str) -> N
     )
     changes = {"controller.formulation": formulation}
     scenario = om.load_scenario(SCENARIOS / "case5-step.yaml", overrides=changes)
-    found = scenario.problem().solve(initial=scenario.initial())
+    found = scenario.problem.solve(initial=scenario.initial())
     assert (found.solution.solver, found.status.replace("_", " ")) == row[:2]
     assert found.objective == pytest.approx(float(row[2].replace(",", "")), rel=1e-6)
 

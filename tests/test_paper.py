@@ -78,7 +78,7 @@ def test_a_plan_costs_what_it_costs_in_the_reference_program() -> None:
     plan = module.Problem(grid).solve(grid.demand[:, : module.HORIZON], module.initial(grid, optima), goal)
     cost = float(module.economic(grid, plan["pg"], plan["qg"], plan["e"][:, : module.HORIZON]))
     scenario = om.load_scenario(SCENARIOS / "case5-step.yaml")
-    ours = scenario.problem().solve(initial=scenario.initial())
+    ours = scenario.problem.solve(initial=scenario.initial())
     assert ours.objective == pytest.approx(cost, rel=1e-6)
 
 

@@ -41,7 +41,7 @@ def case5(formulation: str, delay: int = 1) -> om.Scenario:
 
 def looped(scenario: om.Scenario, plant: om.Plant | None) -> Run:
     return om.simulate(
-        scenario.problem(), plant, scenario.steps, initial=scenario.initial(), objective=scenario.cost
+        scenario.problem, plant, scenario.steps, initial=scenario.initial(), objective=scenario.cost
     )
 
 
@@ -139,7 +139,7 @@ def test_redispatch_keeps_every_limit(formulation: str, delay: int) -> None:
 def test_redispatch_changes_less_than_any_other_feasible_state() -> None:
     """The AC optimum of the same stage is feasible too, so it cannot be nearer to the set-points."""
     scenario = case5("dc", 0)
-    problem = scenario.problem()
+    problem = scenario.problem
     plan = problem.solve(0)
     step = om.Redispatch().apply(plan)
     exact = om.MultiStage(scenario.network, profiles=scenario.profiles).solve(0).quantities()
@@ -452,7 +452,7 @@ def test_without_delay_the_next_plan_starts_from_what_was_really_generated() -> 
 
 def test_with_delay_the_committed_dispatch_stays() -> None:
     scenario = case5("dc", 1)
-    plan = scenario.problem().solve(0, scenario.initial())
+    plan = scenario.problem.solve(0, scenario.initial())
     step = om.PowerFlow().apply(plan)
     assert step.state["pg"] == pytest.approx(plan.data["pg"].values[1])
     assert step.state["e"] == pytest.approx(plan.data["e"].values[1])

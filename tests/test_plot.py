@@ -9,7 +9,7 @@ from test_plants import Heater, HeaterDevice
 
 import opfmodel as om
 from opfmodel.check import losses
-from opfmodel.plot import system
+from opfmodel.results.figures import system
 
 
 def drawn(figure: object, label: str) -> np.ndarray:

@@ -23,9 +23,9 @@ from numpy.testing import assert_allclose
 import opfmodel as om
 import solvers
 from opfmodel import plugins
-from opfmodel.catalogue import Entry, catalogue
 from opfmodel.check import check
 from opfmodel.errors import ModelError, PluginError, ScenarioError
+from opfmodel.plugins.catalogue import Entry, catalogue
 
 SOURCE = ROOT / "tests" / "plugins"
 SUBURB = SOURCE / "suburb.yaml"
@@ -232,7 +232,7 @@ def test_every_formulation_serves_a_fleet(installed: Path) -> None:
             scenario.network,
             12,
             formulation=formulation,
-            objective=scenario.objective,
+            objective=scenario.problem.objective,
             profiles=scenario.profiles,
         ).solve()
         assert plan.optimal
@@ -364,4 +364,4 @@ def test_pip_installs_the_same(example_plugins: Path, tmp_path: Path) -> None:
 
     assert points(site) == points(example_plugins)
     with visible(site):
-        assert om.load_scenario(SUBURB).problem().solve().optimal
+        assert om.load_scenario(SUBURB).problem.solve().optimal

@@ -17,9 +17,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import opfmodel as om
-from opfmodel import plot
 from opfmodel.errors import ResultError
 from opfmodel.results import load, save
+from opfmodel.results.figures import save_figures
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_a_run_that_replaces_another_leaves_no_summary_of_that(run: om.Run, fold
         raise Killed
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        patch.setattr("opfmodel.results.finite", killed)
+        patch.setattr("opfmodel.results.store.finite", killed)
         save(run.data.assign(pd=run.data["pd"] + 1), run.summary(), folder)
     assert not (folder / "summary.json").exists()
     assert float(load(folder)["pd"].sum()) != float(run.data["pd"].sum())
@@ -150,7 +150,7 @@ def test_a_run_that_replaces_another_leaves_no_summary_of_that(run: om.Run, fold
 def test_figures_are_complete_or_not_there(
     run: om.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    written = plot.save_figures(run.data, tmp_path, figures=["system"])
+    written = save_figures(run.data, tmp_path, figures=["system"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["system.pdf", "system.png"]
     before = {path: path.read_bytes() for path in written}
     assert before[tmp_path / "system.pdf"].startswith(b"%PDF")
@@ -162,13 +162,13 @@ def test_figures_are_complete_or_not_there(
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
     with pytest.raises(ResultError, match=r"system\.pdf: cannot be written: No space left on device"):
-        plot.save_figures(run.data, tmp_path, figures=["system"])
+        save_figures(run.data, tmp_path, figures=["system"])
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_a_figure_does_not_write_through_a_link(run: om.Run, tmp_path: Path) -> None:
     (tmp_path / "far").write_text("text")
     (tmp_path / "system.png").symlink_to(tmp_path / "far")
-    plot.save_figures(run.data, tmp_path, figures=["system"])
+    save_figures(run.data, tmp_path, figures=["system"])
     assert (tmp_path / "far").read_text() == "text"
     assert not (tmp_path / "system.png").is_symlink()

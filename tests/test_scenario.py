@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.errors import OpfmodelError, ProfileWarning, ScenarioError
+from opfmodel.network import arrays
+from opfmodel.network.arrays import per_unit
 from opfmodel.objectives.base import WeightedSum
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
@@ -310,3 +314,35 @@ def test_random_demand_does_not_depend_on_the_horizon() -> None:
     )
     for key, values in short.profiles.series.items():
         assert long.profiles.series[key][: len(values)] == pytest.approx(values, rel=1e-12), key
+
+
+@pytest.mark.parametrize("variant", [None, "setpoint-tracking"])
+def test_loading_makes_the_network_once_and_the_problem_once(
+    monkeypatch: pytest.MonkeyPatch, variant: str | None
+) -> None:
+    made = {"arrays": 0, "problems": 0}
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            made[name] += 1
+            return function(*args, **kwargs)
+
+        return call
+
+    monkeypatch.setattr(arrays, "PerUnitNetwork", counted("arrays", arrays.PerUnitNetwork))
+    monkeypatch.setattr(om.MultiStage, "__init__", counted("problems", om.MultiStage.__init__))
+    scenario = om.load_scenario(SCENARIOS / "case5-step.yaml", variant)
+    assert made == {"arrays": 1, "problems": 1}
+    assert scenario.problem is scenario.problem
+
+
+def test_arrays_are_made_again_when_the_network_has_changed() -> None:
+    scenario = om.load_scenario(SCENARIOS / "case5-step.yaml")
+    network, before = scenario.network, per_unit(scenario.network)
+    assert per_unit(network) is before
+    name = next(iter(network.of(om.Load)))
+    network.update(name, p=7.0)
+    after = per_unit(network)
+    assert after.load.p[after.load.position[name], 0] * after.base_mva == pytest.approx(7.0)
+    with pytest.raises(ValueError, match="read-only"):
+        after.load.p[0] = 1.0

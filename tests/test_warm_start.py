@@ -34,8 +34,8 @@ def scenario(name: str, steps: int, solver: str | dict = "ipopt") -> om.Scenario
 )
 def test_warm_plans_have_the_cost_of_tight_cold_ones(name: str, steps: int) -> None:
     made = scenario(name, steps)
-    tight = scenario(name, steps, TIGHT).problem()
-    controller, state = om.Controller(made.problem()), made.initial()
+    tight = scenario(name, steps, TIGHT).problem
+    controller, state = om.Controller(made.problem), made.initial()
     warm, cold = [], []
     for time in range(steps):
         plan = controller.plan(time, state)
@@ -51,7 +51,7 @@ def test_warm_plans_have_the_cost_of_tight_cold_ones(name: str, steps: int) -> N
 def test_a_loop_of_warm_plans_has_the_cost_of_a_loop_of_tight_cold_ones() -> None:
     made = scenario("case5-step", 49)
     fast = made.simulate()
-    tight = scenario("case5-step", 49, TIGHT).problem()
+    tight = scenario("case5-step", 49, TIGHT).problem
     state, steps = made.initial(), []
     for time in range(49):
         plan = tight.solve(time, state)
@@ -62,7 +62,7 @@ def test_a_loop_of_warm_plans_has_the_cost_of_a_loop_of_tight_cold_ones() -> Non
 
 
 def test_the_same_problem_again_takes_next_to_no_iterations() -> None:
-    problem = scenario("case5-step", 1).problem()
+    problem = scenario("case5-step", 1).problem
     first = problem.solve()
     again = problem.solve(previous=first)
     assert again.solution.iterations <= 2

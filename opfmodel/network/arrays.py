@@ -181,7 +181,7 @@ class PerUnitNetwork:
 
 
 def per_unit(network: Network) -> PerUnitNetwork:
-    """Lay out a network as per-unit arrays.
+    """Lay out a network as per-unit arrays, which nothing may write to; once, until the network changes.
 
     Raises
     ------
@@ -190,6 +190,10 @@ def per_unit(network: Network) -> PerUnitNetwork:
     NetworkError
         There is no bus in service.
     """
+    return network.derived(_lay_out)
+
+
+def _lay_out(network: Network) -> PerUnitNetwork:
     notes: list[str] = []
     _check_buses(network)
     every_bus = network.of(Bus)
@@ -323,6 +327,8 @@ def _table(
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
             arrays |= _cost_arrays(values, base_mva)
+    for array in arrays.values():
+        array.flags.writeable = False
     units = {name: field.unit for name, field in kind.table_fields().items()}
     return Table(kind, tuple(members), arrays, units, base_mva)
 

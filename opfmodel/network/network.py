@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
 from opfmodel.network.bounds import BASE_MVA
@@ -30,6 +30,7 @@ from opfmodel.network.fields import INF, is_number
 __all__ = ["Network", "name_pattern"]
 
 C = TypeVar("C", bound="Component")
+T = TypeVar("T")
 
 
 class Network:
@@ -52,6 +53,7 @@ class Network:
     name: str
     base_mva: float
     _components: dict[str, Component]
+    _derived: dict[Callable[[Network], Any], Any]
 
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
         least, most = BASE_MVA
@@ -64,6 +66,7 @@ class Network:
         object.__setattr__(self, "name", str(name))
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
+        object.__setattr__(self, "_derived", {})
 
     @property
     def capacity_mva(self) -> float:
@@ -110,7 +113,7 @@ class Network:
                 "names must be unique"
             )
         component.check_declared(name)
-        self._components[name] = component
+        self._set(name, component)
         return component
 
     def update(self, name: str, /, **changes: Any) -> Component:
@@ -127,14 +130,28 @@ class Network:
                 )
         new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check_declared(name)
-        self._components[name] = new
+        self._set(name, new)
         return new
 
     def remove(self, name: str) -> Component:
         """Take a component out of the network."""
         component = self[name]
-        del self._components[name]
+        self._set(name, None)
         return component
+
+    def _set(self, name: str, component: Component | None) -> None:
+        """The one place that changes the components."""
+        if component is None:
+            del self._components[name]
+        else:
+            self._components[name] = component
+        self._derived.clear()
+
+    def derived(self, make: Callable[[Network], T]) -> T:
+        """What a function makes of the network: made once, and again after a component has changed."""
+        if make not in self._derived:
+            self._derived[make] = make(self)
+        return cast(T, self._derived[make])
 
     def of(self, kind: type[C]) -> dict[str, C]:
         """All components of a class, by name, in the order of their declaration."""

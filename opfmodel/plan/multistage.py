@@ -80,6 +80,11 @@ class MultiStage:
     verbose
         Whether the solver prints its iterations.
 
+    Attributes
+    ----------
+    constraints
+        The constraints of one's own, by name; see :meth:`constrain`.
+
     Examples
     --------
     >>> import opfmodel as om
@@ -143,7 +148,7 @@ class MultiStage:
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
-        self._constraints: dict[str, CustomConstraint] = {}
+        self.constraints: dict[str, CustomConstraint] = {}
         self._rationed = False
 
     @property
@@ -194,12 +199,12 @@ class MultiStage:
         """
         if "_compiled" in self.__dict__:
             raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
-        if name in self._constraints:
+        if name in self.constraints:
             raise ModelError(f"two constraints are named {name!r}")
         if fault := name_fault(name):
             raise ModelError(f"constraint {name!r}: the name {fault}")
         try:
-            self._constraints[name] = CustomConstraint.of(name, constraint, at_least, at_most)
+            self.constraints[name] = CustomConstraint.of(name, constraint, at_least, at_most)
         except ConstraintError as error:
             raise ModelError(f"constraint {name!r}: {error}") from error
 
@@ -234,7 +239,7 @@ class MultiStage:
         twin = copy(self)
         for name in ("_compiled", "_objective_series", "shortage_problems"):
             vars(twin).pop(name, None)
-        twin._constraints = dict(self._constraints)
+        twin.constraints = dict(self.constraints)
         twin.elastic, twin._rationed = elastic, rationed
         twin.objective = self.objective if objective is None else objective
         return twin
@@ -323,7 +328,7 @@ class MultiStage:
         model = self.declare()
         self._check_needs(model)
         self._minimize(model)
-        for constraint in self._constraints.values():
+        for constraint in self.constraints.values():
             self._constrain(model, constraint)
         for name, published in {**model.published, **model.reported}.items():
             model.build.output(name, published.values)
@@ -485,7 +490,7 @@ class MultiStage:
                 values = table.arrays[state.initial][:, 0] if state.initial else None
             numbers.start_from(state.name, values, self.generator_delay)
             numbers.end_with(state.name, end)
-        for constraint in self._constraints.values():
+        for constraint in self.constraints.values():
             if constraint.limited:
                 numbers.limit(constraint.rows, *constraint.window(time, self.horizon))
         if ceiling is not None:

@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from opfmodel.documents import Document, check_name, check_printable, read_document, validated
 from opfmodel.errors import IncompatibleError, ScenarioError
 from opfmodel.scenario import load_scenario
+from opfmodel.scenario.document import Document, check_name, check_printable, read_document, validated
 
 __all__ = ["Axis", "Study", "Variation", "read_study"]
 

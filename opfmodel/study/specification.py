@@ -14,9 +14,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from opfmodel.data.files import read_bytes
-from opfmodel.documents import Document, read_document
 from opfmodel.errors import ScenarioError
 from opfmodel.scenario import laid_over
+from opfmodel.scenario.document import Document, read_document
 from opfmodel.study.document import Study, Variation
 from opfmodel.study.provenance import versions
 

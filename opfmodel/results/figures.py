@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from opfmodel.errors import ResultError, nearest
-from opfmodel.results import replace
+from opfmodel.results.store import replace
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -11,7 +12,16 @@ from pydantic import BaseModel, ValidationError
 
 from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
-from opfmodel.errors import ScenarioError, name_fault, nearest, shown
+from opfmodel.errors import (
+    ConstraintError,
+    OpfmodelError,
+    PluginError,
+    ScenarioError,
+    name_fault,
+    nearest,
+    shown,
+)
+from solvers import SolverError
 
 __all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
 
@@ -43,6 +53,18 @@ class Document:
         return ScenarioError(
             f"{self.path}:{place.line}:{place.column}: {name + ': ' if name else ''}{message}"
         )
+
+    @contextmanager
+    def located(self, *key: str | int) -> Iterator[None]:
+        """Give errors that are raised inside the position of a key."""
+        try:
+            yield
+        except ScenarioError:
+            raise
+        except (PluginError, ConstraintError) as error:
+            raise self.error((*key, *error.key), str(error)) from error
+        except (OpfmodelError, SolverError) as error:
+            raise self.error(key, str(error)) from error
 
     def over(self, key: Key) -> Document:
         """The document with the positions of the mapping at ``key`` for the same keys at the root."""

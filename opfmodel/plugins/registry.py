@@ -1,4 +1,4 @@
-"""Finding objectives, formulations, devices and profiles, in this package and in others'."""
+"""How plugins are found, in this package and in others', and made from the options of a file."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
-from opfmodel import plugins
 from opfmodel.errors import PluginError
+from opfmodel.plugins.registry import GROUPS, hidden, plugins
 from solvers import back_ends, broken_back_ends, installed
 
 __all__ = ["Entry", "catalogue"]
@@ -44,15 +44,15 @@ class Entry:
 def catalogue() -> list[Entry]:
     """All plugins by sort and name; one that does not load or is out of reach is said to be so."""
     entries = []
-    for sort in plugins.GROUPS:
-        for plugin in plugins.plugins(sort).values():
+    for sort in GROUPS:
+        for plugin in plugins(sort).values():
             try:
                 loaded = plugin.load()
                 entry = Entry(sort, plugin.name, plugin.origin, _first_line(loaded), options=_options(loaded))
             except PluginError as error:
                 entry = Entry(sort, plugin.name, plugin.origin, f"BROKEN: {error}", True)
             entries.append(entry)
-        for plugin, winner in plugins.hidden(sort):
+        for plugin, winner in hidden(sort):
             summary = f"BROKEN: out of reach behind the {sort} of the same name of {winner.origin}"
             entries.append(Entry(sort, plugin.name, plugin.origin, summary, True))
     origins = {p.name: p.dist.name if p.dist else "unknown" for p in entry_points(group="solvers.backends")}

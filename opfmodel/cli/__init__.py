@@ -1,0 +1,5 @@
+"""The command line. Exit status: 0 done; 1 not solved or interrupted; 2 bad input or usage."""
+
+from opfmodel.cli.app import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,77 @@
+"""All commands by name, and what becomes of their errors."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from io import TextIOWrapper
+from typing import NoReturn
+
+import typer
+
+from opfmodel.cli import inspect, run, solve, study
+from opfmodel.cli.output import print_json, remark, show_warning
+from opfmodel.errors import OpfmodelError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Declarative multi-stage AC optimal power flow with storage, in receding horizon.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command("solve")(solve.solve)
+app.command("run")(run.run)
+app.command("table")(run.table)
+app.command("validate")(inspect.validate)
+app.command("plot")(run.plot)
+app.command("list")(inspect.list_plugins)
+
+study_app = typer.Typer(help="Run one scenario under many variations, and compare.", no_args_is_help=True)
+app.add_typer(study_app, name="study")
+study_app.command("run")(study.run)
+study_app.command("table")(study.table)
+
+_CTRL_C = 130  # what Typer makes of it
+
+
+def main() -> NoReturn:
+    """Run the command line; a mistake in the input is one line on standard error and exit status 2."""
+    as_json = "--json" in sys.argv[1:]
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error: a name is no reason to stop
+    warnings.showwarning = show_warning
+    try:
+        code = app(standalone_mode=False)
+    except typer.Exit as stop:
+        sys.exit(stop.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", as_json, code=1)
+    except Exception as error:
+        message = _mistake(error)
+        if message is None:
+            raise
+        _fail(message, as_json)
+    if code == _CTRL_C:
+        _fail("interrupted", as_json, code=1)
+    sys.exit(code or 0)
+
+
+def _mistake(error: Exception) -> str | None:
+    """What to tell the user about an error that is his, None for one that is ours."""
+    if isinstance(error, OpfmodelError):
+        return str(error)
+    if hasattr(error, "format_message"):  # usage of the command line itself
+        return str(error.format_message())
+    from solvers import SolverError
+
+    return str(error) if isinstance(error, SolverError) else None
+
+
+def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
+    remark(f"error: {message}")
+    if as_json:
+        print_json({"error": message})
+    sys.exit(code)

@@ -1,0 +1,66 @@
+"""What is in a file, and what is installed; nothing is solved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from opfmodel.cli import show
+from opfmodel.cli.options import FILE, JSON, SET, VARIANT
+from opfmodel.cli.output import print_json, print_line, print_notes
+from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario
+from opfmodel.errors import OpfmodelError
+
+__all__ = ["list_plugins", "validate"]
+
+
+def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
+    """Check a scenario with its variants, a study or a network file without solving anything."""
+    from opfmodel.network.arrays import per_unit
+    from opfmodel.scenario.document import read_document
+
+    if is_scenario(file):
+        document = read_document(file)
+        if isinstance(document.content, dict) and "vary" in document.content:
+            return _validate_study(file, json_)
+        loaded = read_scenario(document, variant, set_)
+        network = loaded.network
+        for name in loaded.settings.variants if variant is None else ():
+            try:
+                read_scenario(document, name, set_)
+            except OpfmodelError as error:
+                raise OpfmodelError(f"variant {name!r}: {error}") from error
+    else:
+        network = read_network_file(file, default_cost=0.0)
+    arrays = per_unit(network)
+    if json_:
+        counts = {kind.plural: len(network.of(kind)) for kind in network.kinds()}
+        print_json({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)})
+    else:
+        print_notes(arrays.notes)
+        print_line(f"{file}: valid; {network!r}")
+    return 0
+
+
+def _validate_study(file: Path, as_json: bool) -> int:
+    from opfmodel.study import read_study
+
+    study = read_study(file)
+    axes = {axis.name: len(axis.labels) for axis in study.axes}
+    if as_json:
+        print_json({"valid": True, "runs": len(study), "axes": axes})
+    else:
+        grid = " x ".join(f"{n} {name}" for name, n in axes.items())
+        print_line(f"{file}: valid; {len(study)} runs: {grid}")
+    return 0
+
+
+def list_plugins(json_: JSON = False) -> int:
+    """List what is installed, from objectives to back ends, with origins and options."""
+    from opfmodel.plugins.catalogue import catalogue
+
+    entries = catalogue()
+    if json_:
+        print_json({"plugins": [entry.as_dict() for entry in entries]})
+    else:
+        show.entries(entries)
+    return 0

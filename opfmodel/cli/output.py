@@ -1,0 +1,123 @@
+"""The one place that prints: results on standard output, everything else on standard error."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import Any
+
+from opfmodel.errors import CaseWarning, ProfileWarning, ResultWarning, visible
+
+__all__ = [
+    "print_json",
+    "print_line",
+    "print_notes",
+    "print_pairs",
+    "print_table",
+    "remark",
+    "show_warning",
+    "solver_output",
+]
+
+_UNLIMITED = 100_000  # columns
+
+
+def print_line(line: str) -> None:
+    """Print a line of results."""
+    print(visible(line))  # noqa: T201
+
+
+def remark(line: str) -> None:
+    """Print a line that is no result: an error, a warning, a note."""
+    print(visible(line), file=sys.stderr)  # noqa: T201
+
+
+def print_notes(notes: Sequence[str]) -> None:
+    """Print what was left out or chosen."""
+    for note in notes:
+        remark(f"note: {note}")
+
+
+def show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    """Print a warning that is for the user; those of libraries for their programmers are not."""
+    if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
+        remark(f"warning: {message}")
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Print a result as one JSON object on one line."""
+    from opfmodel.results.store import finite
+
+    text = json.dumps(finite(result), allow_nan=False)
+    print_line(text.replace("\x7f", "\\u007f"))  # DEL is the one control character that is written as it is
+
+
+def print_pairs(pairs: Mapping[str, str]) -> None:
+    """Print names and values in two columns."""
+    width = max(len(key) for key in pairs)
+    for key, value in pairs.items():
+        print_line(f"{key:<{width}}  {value}")
+
+
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: bool = False, prose: bool = False
+) -> None:
+    """Print a table.
+
+    Parameters
+    ----------
+    numbers
+        Whether all columns but the first hold numbers, which stand to the right.
+    prose
+        Whether the last column holds sentences, which are wrapped where the terminal ends.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(width=None if prose and sys.stdout.isatty() else _UNLIMITED, color_system=None)
+    table = Table(box=None, pad_edge=False)
+    for place, column in enumerate(columns):
+        wrapped = prose and place == len(columns) - 1
+        table.add_column(
+            Text(visible(column)),
+            justify="right" if numbers and place else "left",
+            no_wrap=not wrapped,
+        )
+    for row in rows:
+        # square brackets in a cell are no markup
+        table.add_row(*(Text("\n".join(map(visible, cell.splitlines()))) for cell in row))
+    with console.capture() as captured:
+        console.print(table)
+    for line in captured.get().splitlines():
+        print_line(line.rstrip())
+
+
+@contextmanager
+def solver_output(verbose: bool) -> Iterator[None]:
+    """Keep what a solver prints from standard output, which holds results alone; verbose shows it as errors.
+
+    Libraries write to the file descriptor, past Python's own stream.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - no path of a file
+        shown = sys.stderr if verbose else nowhere
+        os.dup2(2 if verbose else nowhere.fileno(), 1)
+        try:
+            with redirect_stdout(shown):
+                yield
+        finally:
+            _flush_libraries()
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
+def _flush_libraries() -> None:
+    """Write out what C libraries have buffered, while it still goes where it should."""
+    with suppress(OSError, TypeError):  # where the C library cannot be named, it is not buffered
+        ctypes.CDLL(None).fflush(None)

@@ -1,0 +1,105 @@
+"""Closed loops: run one, compare several, draw what came out."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from opfmodel.cli import show
+from opfmodel.cli.options import JSON, ON_INFEASIBLE, OUT, SCENARIO, SET, VARIANT, VERBOSE
+from opfmodel.cli.output import print_json, print_line, remark, solver_output
+from opfmodel.cli.reading import check_on_infeasible, read_scenario
+
+__all__ = ["plot", "run", "table"]
+
+
+def run(
+    scenario: SCENARIO,
+    out: OUT = None,
+    variant: VARIANT = None,
+    set_: SET = None,
+    on_infeasible: ON_INFEASIBLE = None,
+    json_: JSON = False,
+    verbose: VERBOSE = False,
+    figures: Annotated[bool, typer.Option(help="Draw the figure of the whole system.")] = True,
+) -> int:
+    """Run the closed loop of a scenario; save trajectories, a summary and a figure."""
+    from opfmodel.check import check
+    from opfmodel.results import save
+    from opfmodel.results.figures import save_figures
+
+    check_on_infeasible(on_infeasible)
+    changes = {} if on_infeasible is None else {"controller.on_infeasible": on_infeasible}
+    loaded = read_scenario(scenario, variant, set_, changes)
+    loaded.problem.verbose = verbose
+    folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
+    with solver_output(verbose):
+        done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose)
+    report = check(loaded.network, done.data, loaded.profiles) if done.steps else None
+    summary: dict[str, Any] = {
+        "scenario": loaded.name,
+        **done.summary(),
+        "max_violation": None if report is None else report.max_violation,
+        "violations": {} if report is None else report.as_dict(),
+        "unchecked": [] if report is None else list(report.unchecked),
+    }
+    if done.steps:
+        summary = save(done.data, summary, folder)
+        if figures:
+            save_figures(done.data, folder, figures=["system"])
+    if json_:
+        print_json(summary)
+    else:
+        show.run(done, summary, report, folder, loaded.settings.controller.on_infeasible == "elastic")
+    return 0 if done.status == "done" else 1
+
+
+def table(
+    scenarios: Annotated[list[Path], typer.Argument(help="Scenario files (.yaml).")],
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
+    json_: JSON = False,
+) -> int:
+    """Compare economic control with single-stage optima and with tracking: J_e, J_s, J_t, J_b."""
+    from opfmodel.study import comparison
+
+    def say(what: str) -> None:
+        if sys.stderr.isatty() and not json_:
+            remark(what)
+
+    for path in scenarios:
+        read_scenario(path)  # so that a mistake in any file is said before hours of work
+    with solver_output(False):
+        compared = [comparison.compare(path, say) for path in scenarios]
+    if json_:
+        print_json({"rows": [row.as_dict() for row in compared]})
+    elif markdown:
+        for line in comparison.markdown(compared).splitlines():
+            print_line(line)
+    else:
+        show.comparisons(compared)
+    for row in compared:
+        for name, why in row.failures.items():
+            remark(f"{row.scenario}: no {name}: {why}")
+    return 1 if any(row.failures for row in compared) else 0
+
+
+def plot(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    bus: Annotated[list[str] | None, typer.Option(help="A bus to show; repeat for several.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the figures; the run's by default.")] = None,
+    json_: JSON = False,
+) -> int:
+    """Draw the figures of a run: the system, the demand and single buses, as PDF and PNG."""
+    from opfmodel.results import load
+    from opfmodel.results.figures import save_figures
+
+    written = [str(path) for path in save_figures(load(folder), folder if out is None else out, bus)]
+    if json_:
+        print_json({"figures": written})
+    else:
+        for path in written:
+            print_line(path)
+    return 0

@@ -1,0 +1,170 @@
+"""What each command says of its result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from opfmodel.cli.output import print_line, print_notes, print_pairs, print_table, remark
+
+if TYPE_CHECKING:
+    from opfmodel.check import Report
+    from opfmodel.plan import Plan
+    from opfmodel.plugins.catalogue import Entry
+    from opfmodel.simulation import Run
+    from opfmodel.study import Outcome
+    from opfmodel.study.comparison import Comparison
+
+__all__ = ["comparisons", "entries", "plan", "run", "study_outcome", "study_table"]
+
+_TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
+_ELASTIC = "--on-infeasible elastic says what is lacking, where and when"
+
+
+def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: bool) -> None:
+    """Print the figures of a plan, and what it lacks.
+
+    Parameters
+    ----------
+    elastic
+        Whether the user asked what is lacking.
+    """
+    problem, solution = solved.problem, solved.solution
+    size = solution.program
+    print_notes(problem.notes)
+    print_pairs(
+        {
+            "status": solved.status if solved.optimal else f"{solved.status}: {solved.termination}",
+            "objective": f"{solved.objective:,.4f} $" if solved.optimal else "none",
+            "formulation": problem.formulation.name,
+            "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
+            "solver": f"{solution.solver}, {_count(solution.iterations, 'iterations')}",
+            "time": f"{problem.build_seconds:.3f} s build, {solution.seconds:.3f} s solve",
+            **({} if report is None else _verified(report)),
+        }
+    )
+    _diagnosis(diagnosis)
+    if solved.status.endswith("infeasible") and not elastic:
+        print_line(_ELASTIC)
+
+
+def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Path, elastic: bool) -> None:
+    """Print the figures of a closed loop, and what its plans lacked.
+
+    Parameters
+    ----------
+    elastic
+        Whether limits were to give way where a problem has no solution.
+    """
+    violation, cost = summary["max_violation"], summary["cost"]
+    mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
+    print_notes(done.problem.notes)
+    print_pairs(
+        {
+            "scenario": summary["scenario"],
+            "status": "done" if done.status == "done" else f"{done.status}: {done.termination}",
+            "cost": "none" if cost is None else f"{cost:,.2f} $ in {summary['steps']} steps",
+            "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
+            "iterations": _count(summary["iterations_mean"], "mean"),
+            "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            **({} if report is None else _exceeded(report)),
+            **_measured(summary),
+            **_unchecked(summary["unchecked"]),
+            "results": f"{folder}" if summary["steps"] else "none",
+        }
+    )
+    for step, sentences in summary["diagnosis"].items():
+        _diagnosis(sentences, f"plan at step {step}")
+    if done.status.endswith("infeasible") and not elastic:
+        print_line(_ELASTIC)
+
+
+def comparisons(compared: list[Comparison]) -> None:
+    """Print the costs J_e, J_s, J_t and J_b side by side."""
+    from opfmodel.study.comparison import COSTS, rows
+
+    print_table(["k$", *COSTS], rows(compared), numbers=True)
+
+
+def entries(catalogue: list[Entry]) -> None:
+    """Print what is installed."""
+    lines = [
+        (e.sort, e.name, e.origin, f"{e.summary}\n  {', '.join(e.options)}" if e.options else e.summary)
+        for e in catalogue
+    ]
+    print_table(["sort", "name", "origin", "what it is and its options"], lines, prose=True)
+
+
+def study_outcome(name: str, outcome: Outcome) -> None:
+    """Print how far a study has come."""
+    counts = {"done": outcome.done, "failed": outcome.failed, "done before": outcome.skipped}
+    if outcome.waiting:
+        counts["waiting"] = outcome.waiting
+    status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "not all done"
+    for failed, error in outcome.failures.items():
+        remark(f"failed: {failed}: {error}")
+    print_pairs(
+        {
+            "study": name,
+            "status": status,
+            "runs": f"{outcome.total}: " + ", ".join(f"{count} {what}" for what, count in counts.items()),
+            "time": f"{outcome.seconds:.1f} s",
+            "table": str(outcome.table),
+        }
+    )
+
+
+def study_table(rows: list[dict[str, Any]], columns: list[str]) -> None:
+    """Print some columns of a study's results."""
+    print_table(columns, [[_cell(row[name]) for name in columns] for row in rows])
+
+
+def _diagnosis(sentences: list[str], label: str = "lacking") -> None:
+    for sentence in sentences:
+        print_line(f"{label}: {sentence}")
+
+
+def _count(iterations: float | None, what: str) -> str:
+    """Iterations as text; a solver that does not tell them has none."""
+    return f"no {what} told" if iterations is None else f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
+
+
+def _verified(report: Report) -> dict[str, str]:
+    """The lines of what the independent check found in a plan."""
+    worst = report.worst
+    place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
+    return {"max violation": f"{'none' if worst is None else worst}{place}", **_unchecked(report.unchecked)}
+
+
+def _unchecked(what: Iterable[str]) -> dict[str, str]:
+    """The line that says what the independent check could not verify, if there is anything."""
+    said = "; ".join(what)
+    return {"not checked": said} if said else {}
+
+
+def _exceeded(report: Report) -> dict[str, str]:
+    """The line that names the worst violation, if it is more than solvers leave."""
+    worst = report.worst
+    if worst is None or worst.relative <= _TOLERATED:
+        return {}
+    return {"limits exceeded": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
+
+
+def _measured(summary: Mapping[str, Any]) -> dict[str, str]:
+    """What the plant found, in words; nothing of a nominal plant."""
+    named = {"redispatched_mwh": "redispatched", "shed_mwh": "shed", "curtailed_mwh": "curtailed"}
+    shown = {word: f"{summary[key]:,.2f} MWh" for key, word in named.items() if key in summary}
+    if "violated_steps" in summary:
+        shown["limits"] = f"exceeded in {summary['violated_steps']} of {summary['steps']} steps"
+    if summary.get("unsolved_steps"):
+        shown["no state found"] = f"in {summary['unsolved_steps']} steps"
+    return shown
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:,.2f}" if abs(value) >= 1e3 else f"{value:.4g}"
+    return str(value)

@@ -1,0 +1,184 @@
+"""Reading a scenario file: one network, one problem, and nothing of it executed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opfmodel import plugins
+from opfmodel.data.series import Profiles
+from opfmodel.data.yaml import MOST_LEVELS
+from opfmodel.errors import nearest, shown
+from opfmodel.network.bounds import LARGEST, bounded
+from opfmodel.network.network import Network
+from opfmodel.objectives.base import Objective
+from opfmodel.objectives.setpoint_tracking import Setpoints
+from opfmodel.plan import End, MultiStage
+from opfmodel.scenario.constraints import check_constraints, read_constraints
+from opfmodel.scenario.declarations import Declarations
+from opfmodel.scenario.document import Document, check_name, read_document, validated
+from opfmodel.scenario.parts import make_forecast, make_objective, make_plant, make_profiles, make_setpoints
+from opfmodel.scenario.scenario import Scenario
+from opfmodel.scenario.schema import ScenarioFile
+from opfmodel.simulation import check_response
+from solvers import Kind, find
+
+__all__ = ["laid_over", "load_scenario"]
+
+
+def load_scenario(
+    path: str | Path | Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path
+        The file, or its content where it has been read already.
+    variant
+        One of the file's variants, whose keys are laid over the others.
+    overrides
+        Values by dotted key, laid over everything: ``{"controller.horizon": 24}``.
+
+    Raises
+    ------
+    ScenarioError
+        The file breaks its schema: an unknown key, a wrong type, a value out of range; the
+        message names file, line, column and what would be accepted.
+    """
+    document = path if isinstance(path, Document) else read_document(path)
+    content = laid_over(document, variant, overrides)
+    if variant is not None:
+        document = document.over(("variants", variant))
+    _check_numbers(document, content)
+    settings = validated(document, content, ScenarioFile)
+    name = document.path.stem if settings.name is None else settings.name
+    check_name(document, ("name",), name)
+    for each in settings.variants:
+        check_name(document, ("variants", each), each)
+    with document.located("network"):
+        declarations = Declarations(document, settings.network)
+        network = declarations.network(name)
+        declarations.check(network)
+    cost = make_objective(document, ("cost",), settings.cost)
+    profiles = make_profiles(document, settings, network)
+    forecast = make_forecast(document, settings)
+    constraints = read_constraints(document, settings)
+    objective = cost
+    if settings.controller.objective is not None:
+
+        def single_stages() -> Setpoints:
+            return scenario.single_stages(settings.length).setpoints()
+
+        def setpoints(value: Any) -> Setpoints:
+            return make_setpoints(value, document, settings.time.steps, network, single_stages)
+
+        key = ("controller", "objective")
+        objective = make_objective(document, key, settings.controller.objective, {Setpoints: setpoints})
+    problem = _problem(document, settings, network, profiles, objective)
+    for own in constraints.values():
+        problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
+    with document.located("plant", "mode"):
+        plugins.load("plant", settings.plant.mode)
+    with document.located("plant"):
+        plant = make_plant(settings)
+        plant.check(problem.arrays)
+    # last, and in this order: parts that do not fit together must not hide a mistake
+    check_constraints(document, constraints, problem)
+    with document.located("forecast"):
+        check_response(forecast, plant)
+    title = name if variant is None else f"{name}:{variant}"
+    scenario = Scenario(title, document.path, problem, cost, forecast, settings)
+    return scenario
+
+
+def _problem(
+    document: Document, settings: ScenarioFile, network: Network, profiles: Profiles, objective: Objective
+) -> MultiStage:
+    """The problem of the section ``controller``, without constraints."""
+    controller = settings.controller
+    with document.located("controller", "formulation"):
+        plugins.load("formulation", controller.formulation)
+    solver = controller.back_end
+    if solver.name != "auto":
+        with document.located("controller", "solver"):
+            find(solver.name, Kind.LINEAR)
+    with document.located("controller"):
+        return MultiStage(
+            network,
+            controller.horizon,
+            settings.time.step,
+            formulation=controller.formulation,
+            objective=objective,
+            profiles=profiles,
+            generator_delay=controller.generator_delay,
+            end=End(**controller.end.model_dump()),
+            regularisation=controller.regularisation,
+            solver=solver.name,
+            options=solver.options,
+        )
+
+
+def laid_over(
+    document: Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The keys of a scenario file with a variant and overrides laid over them, not yet checked.
+
+    Parameters
+    ----------
+    variant, overrides
+        As :func:`load_scenario` takes them.
+
+    Raises
+    ------
+    ScenarioError
+        The document is not a mapping, or has no such variant.
+    """
+    if not isinstance(document.content, dict):
+        raise document.error((), "a scenario is a mapping with the key 'network' and others")
+    if "vary" in document.content:
+        raise document.error(("vary",), "this is a study; 'opfmodel study run' runs it")
+    content = deepcopy(document.content)
+    if variant is not None:
+        variants = content.get("variants") or {}
+        if not isinstance(variants, dict) or variant not in variants:
+            raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
+        content = _overlay(content, variants[variant])
+    for key, value in (overrides or {}).items():
+        parts = key.split(".")
+        if len(parts) > MOST_LEVELS:
+            raise document.error((), f"{shown(key)}: there is no key of {len(parts)} parts")
+        content = _overlay(content, _nested(parts, value))
+    return content
+
+
+def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
+    """Raise an error for a number that is none, or that would overflow when it is squared.
+
+    Infinity is accepted here, for it means "no limit" in some places; options of solvers are theirs.
+    """
+    for part, value in content.items() if isinstance(content, dict) else enumerate(content):
+        if isinstance(value, dict | list):
+            if (*key, part) != ("controller", "solver"):
+                _check_numbers(document, value, (*key, part))
+        elif isinstance(value, int | float) and not bounded(value) and abs(value) != np.inf:
+            raise document.error(
+                (*key, part), f"{shown(value)}: must be a finite number of at most {LARGEST:g}"
+            )
+
+
+def _overlay(base: Any, over: Any) -> Any:
+    """``over`` laid over ``base``: mappings key by key, anything else replaced."""
+    if isinstance(base, dict) and isinstance(over, dict):
+        return {**base, **{key: _overlay(base.get(key), value) for key, value in over.items()}}
+    return over
+
+
+def _nested(keys: list[str], value: Any) -> dict[str, Any]:
+    for key in reversed(keys):
+        value = {key: value}
+    return dict(value)

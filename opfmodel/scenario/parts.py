@@ -1,0 +1,158 @@
+"""The parts of a scenario that plugins make: series, objectives, the forecast, the plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opfmodel import plugins
+from opfmodel.data.columns import read_columns
+from opfmodel.data.series import Profiles
+from opfmodel.errors import ModelError, ProfileError, shown
+from opfmodel.forecasts.base import Forecast
+from opfmodel.network.arrays import per_unit
+from opfmodel.network.components import Load
+from opfmodel.network.network import Network
+from opfmodel.network.series import check_finite, check_series
+from opfmodel.objectives.base import Objective, WeightedSum
+from opfmodel.objectives.setpoint_tracking import Setpoints
+from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
+from opfmodel.profiles.base import Workbook
+from opfmodel.scenario.document import Document
+from opfmodel.scenario.schema import ScenarioFile, Spec
+from opfmodel.simulation import Plant
+
+__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "make_setpoints"]
+
+
+def make_profiles(document: Document, settings: ScenarioFile, network: Network) -> Profiles:
+    """The time series that the rules of the file make one after the other."""
+    _check_size(document, settings, network)
+    book = Workbook(network, settings.length, settings.time.step, document.path.parent)
+    for number, spec in enumerate(settings.profiles):
+        key = ("profiles", number)
+        name, options = _single(document, key, spec)
+        before = dict(book.series)
+        with document.located(*key, name), _sourced(book):
+            plugins.make("profile", name, options).apply(book)
+            changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
+            check_finite(Profiles(changed), network)
+    with document.located("profiles"), _sourced(book):
+        made = Profiles(book.series)
+        check_series(made, network)
+        return made
+
+
+def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
+    """Raise an error before series are made, or a run is begun, for which there is no memory."""
+    steps, horizon = settings.time.steps, settings.controller.horizon
+    loads = len(network.of(Load))
+    with document.located("time", "steps"):
+        check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
+    with document.located("controller", "horizon"):
+        check_memory(f"{horizon:,} with {steps:,} steps", series_bytes(loads, steps + horizon))
+
+
+@contextmanager
+def _sourced(book: Workbook) -> Iterator[None]:
+    """Give errors about a value from a file the line and column where it stands."""
+    try:
+        yield
+    except ProfileError as error:
+        raise ProfileError(f"{book.source(error)}{error}") from error
+
+
+def make_objective(
+    document: Document,
+    key: tuple[str | int, ...],
+    spec: Spec,
+    convert: Mapping[Any, Callable[[Any], Any]] | None = None,
+) -> Objective:
+    """An objective, or the weighted sum of several.
+
+    Parameters
+    ----------
+    key
+        Where it stands in the file.
+    convert
+        How values of the file become objects of a type; see :func:`opfmodel.plugins.make`.
+    """
+    if not isinstance(spec, list):
+        name, options = _single(document, key, spec)
+        with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
+            made = plugins.make("objective", name, options, convert)
+            assert isinstance(made, Objective)
+            return made
+    parts: list[tuple[float, Objective]] = []
+    for number, part in enumerate(spec):
+        rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
+        weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight < np.inf:
+            raise document.error((*key, number, "weight"), f"{shown(weight)}: must be a number, at least 0")
+        parts.append((float(weight), make_objective(document, (*key, number), rest, convert)))
+    if not parts:
+        raise document.error(key, "needs at least one objective")
+    return WeightedSum(parts)
+
+
+def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
+    """What the controller is to expect of the series."""
+    name, options = _single(document, ("forecast",), settings.forecast)
+    key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
+    with document.located(*key):
+        made = plugins.make(
+            "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
+        )
+        assert isinstance(made, Forecast)
+        return made
+
+
+def make_plant(settings: ScenarioFile) -> Plant:
+    """What is to respond to the plans; a new one, without a past."""
+    section = settings.plant
+    made = plugins.make("plant", section.mode, section.model_extra or {}, beside=("mode",))
+    assert isinstance(made, Plant)
+    return made
+
+
+def make_setpoints(
+    value: Any, document: Document, steps: int, network: Network, single_stages: Callable[[], Setpoints]
+) -> Setpoints:
+    """Set-points as a file states them.
+
+    Parameters
+    ----------
+    steps
+        Number of values that a file of them needs.
+    single_stages
+        Solves for the optima of the single stages, when they are needed.
+    """
+    if value == "single-stage":
+        return Setpoints(lambda: single_stages().values)
+    if not isinstance(value, dict):
+        raise ModelError(
+            f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
+        )
+    if set(value) == {"file"}:
+        value = read_columns(document.path.parent / str(value["file"]), steps).values
+    given = Setpoints(value)
+    given.arrays(per_unit(network))  # so that a mistake has its place in the file
+    return given
+
+
+def _single(
+    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """Name and options of a plugin: ``name`` or ``{name: {option: value}}``."""
+    if isinstance(spec, str):
+        return spec, {}
+    if len(spec) != 1:
+        raise document.error(key, f"must be a name, or one name with its options, not {len(spec)} keys")
+    name, options = next(iter(spec.items()))
+    if options is not None and not isinstance(options, dict):
+        raise document.error((*key, name), "the options must be a mapping")
+    return name, options or {}
