@@ -30,6 +30,7 @@ from opfmodel.testing import (
 )
 from opfmodel.testing.grids import feeder
 from solvers import Kind, Solution, SolutionStatus, largest, total
+from solvers.backends.osqp import OSQP
 from solvers.backends.qp import QP
 
 # Objectives -------------------------------------------------------------------------------------
@@ -458,7 +459,7 @@ def stale(solution: Solution) -> Solution:
         (Meddling(stale), "keeps the instance that it solved|solves the next instance"),
         (type("Nameless", (QP,), {"name": ""})(), "has a name"),
         (type("Bare", (QP,), {"solvers": lambda self: iter(())})(), "names its installed solvers"),
-        (type("Bold", (QP,), {"accepts": Kind.CONIC})(), "breaks the rule .*'disc'"),
+        (type("Bold", (OSQP,), {"accepts": Kind.CONIC})(), "breaks the rule .*'disc'"),
     ],
 )
 def test_a_back_end_that_breaks_a_rule_is_caught(end, message: str) -> None:
