@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import solvers
-from solvers import Degree, Evaluator, Kind, ProgramBuilder, ProgramError, classify, largest, total
+from solvers import (
+    Degree,
+    Evaluator,
+    Kind,
+    ProgramBuilder,
+    ProgramError,
+    classify,
+    largest,
+    largest_by,
+    total,
+)
 
 
 def evaluate(
@@ -79,6 +89,21 @@ def test_the_largest_is_exact_when_minimised(a: np.ndarray) -> None:
     expected = np.maximum.reduce([np.ones_like(a), a, 3.0 - 2.0 * a])
     assert solvers.solve(build.build()).objective == pytest.approx(expected.sum(), rel=1e-6)
     assert_allclose(largest(1.0, a, 3.0 - 2.0 * a), expected)
+
+
+def test_a_program_says_which_variables_are_maxima_whatever_they_are_called() -> None:
+    build = ProgramBuilder()
+    x = build.variable("largest_1", 3, 4, 0.0, 1.0)
+    build.rows("largest_1_piece_1", 3, 4)
+    build.minimize(largest(0.0, x - 0.5))
+    build.minimize(largest_by(np.array([0, 0, 1]), 2.0 * x, 2))
+    program = build.build()
+    first, second = program.epigraphs
+    assert (first.variables.shape, len(first.pieces)) == ((3, 4), 2)
+    assert (second.variables.shape, [rows.shape for rows in second.pieces]) == ((2, 4), [(3, 4)])
+    known = {*first.pieces, *second.pieces}
+    assert {name for name, rows in program.rows.items() if rows not in known} == {"largest_1_piece_1"}
+    assert program.variables["largest_1"] not in (first.variables, second.variables)
 
 
 @given(a=arrays)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import opfmodel as om
+import solvers
 from opfmodel.components import Component, at_bus, flag, number
 from opfmodel.devices.generator import GeneratorDevice
 from opfmodel.devices.storage import StorageDevice
@@ -29,7 +32,8 @@ from opfmodel.testing import (
     check_profile,
 )
 from opfmodel.testing.grids import feeder
-from solvers import Kind, Solution, SolutionStatus, largest, total
+from opfmodel.testing.sampling import at_random
+from solvers import Kind, ProgramBuilder, Solution, SolutionStatus, largest, total
 from solvers.backends.osqp import OSQP
 from solvers.backends.qp import QP
 
@@ -409,6 +413,25 @@ def test_a_profile_rule_that_breaks_a_rule_is_caught(make, message: str) -> None
 
 def test_a_sound_rule_passes() -> None:
     check_profile(Rule(), feeder())
+
+
+# Random points ----------------------------------------------------------------------------------
+
+
+def test_maxima_at_random_points_are_known_by_type_and_not_by_name() -> None:
+    build = ProgramBuilder()
+    load = build.variable("largest_load", 3, 2, 1.0, 2.0)
+    build.minimize(largest(1.5, load))
+    program = build.build()
+    solved = SimpleNamespace(
+        solution=solvers.solve(program), problem=SimpleNamespace(model=None), stage=SimpleNamespace(network=None),
+        time=0,
+    )  # fmt: skip
+    solution = at_random(solved, np.random.default_rng(1)).solution
+    value = solution.value("largest_load")
+    assert ((value >= 1.0) & (value <= 2.0)).all()
+    assert_allclose(solution.value(program.epigraphs[0].variables.name), np.maximum(1.5, value))
+    assert solution.objective == pytest.approx(np.maximum(1.5, value).sum())
 
 
 # Back ends --------------------------------------------------------------------------------------
