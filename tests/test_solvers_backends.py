@@ -320,8 +320,9 @@ def test_words_of_a_message_are_no_status(monkeypatch: pytest.MonkeyPatch) -> No
     def refuse(*given, **options) -> None:
         raise qpsolvers.exceptions.SolverError("no time to see whether it is infeasible or unbounded")
 
+    monkeypatch.setattr(qpsolvers, "sparse_solvers", [*qpsolvers.sparse_solvers, "mine"])
     monkeypatch.setattr(qpsolvers, "solve_problem", refuse)
-    solution = solvers.solve(storage(), "qp:scs")
+    solution = solvers.solve(storage(), "qp:mine")
     assert solution.termination is TerminationCondition.ERROR
     assert "no time" in solution.message
 
@@ -342,7 +343,6 @@ def test_a_solver_without_a_table_has_found_an_optimum_or_not(monkeypatch: pytes
         x = build.variable("x", 2)
         build.minimize((x - np.array([1.0, 2.0])) ** 2)
         build.constrain("half-plane", total(x) <= 2.0)
-        solvers.rescan()
         solution = solvers.solve(build.build(), "qp:mine")
         assert solution.termination is termination
         assert solution.status.is_optimal is found
