@@ -15,7 +15,7 @@ from solvers.errors import (
 )
 from solvers.expression import Constraint, Expression, Sum, largest, largest_by, total
 from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
-from solvers.program import Block, Cone, Instance, Output, Placement, Program
+from solvers.program import Block, Cone, Epigraph, Instance, Output, Placement, Program
 from solvers.solution import Solution, Start
 from solvers.solve import (
     BackEnd,
@@ -39,6 +39,7 @@ __all__ = [
     "Cone",
     "Constraint",
     "Degree",
+    "Epigraph",
     "Evaluator",
     "Expression",
     "Instance",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from solvers.errors import ProgramError
 from solvers.expression import Constraint, Expression, Leaf, Sum, constant, reference
-from solvers.program import Block, Cone, Index, Output, Placement, Program
+from solvers.program import Block, Cone, Epigraph, Index, Output, Placement, Program
 from solvers.template import Template
 
 __all__ = ["ProgramBuilder", "Rows"]
@@ -62,6 +62,7 @@ class ProgramBuilder:
         self._costs: list[Placement] = []
         self._cone_values: list[Placement] = []
         self._outputs: dict[str, Output] = {}
+        self._epigraphs: list[Epigraph] = []
         self._data: dict[str, Block] = {}
 
     # Blocks ------------------------------------------------------------------------------
@@ -203,11 +204,12 @@ class ProgramBuilder:
         shape = np.broadcast_shapes(*(p.shape for p in pieces))
         if shape[0] != 1 and any(isinstance(p, Sum) for p in pieces):
             raise ProgramError(f"a sum has one value per stage; it does not combine with {shape[0]} items")
-        name = f"largest_{sum(n.startswith('largest_') for n in self._variables) + 1}"
+        name = f"largest {len(self._epigraphs) + 1}"
         above = self.variable(name, shape[0] if items is None else items, shape[1])
-        for position, piece in enumerate(pieces):
-            bounded = above if owner is None else above[owner]
-            self.constrain(f"{name}_piece_{position + 1}", bounded - piece >= 0.0)
+        rows = [f"{name}, piece {position + 1}" for position in range(len(pieces))]
+        for row, piece in zip(rows, pieces, strict=True):
+            self.constrain(row, (above if owner is None else above[owner]) - piece >= 0.0)
+        self._epigraphs.append(Epigraph(self._variables[name], tuple(self._rows[row] for row in rows)))
         return above
 
     def build(self) -> Program:
@@ -222,6 +224,7 @@ class ProgramBuilder:
             costs=tuple(self._costs),
             cone_values=tuple(self._cone_values),
             outputs=dict(self._outputs),
+            epigraphs=tuple(self._epigraphs),
         )
 
     # -------------------------------------------------------------------------------------
@@ -248,13 +251,7 @@ class ProgramBuilder:
         bare = Block(name, items, stages, offset, empty, empty, empty)
         low, high, default = (np.ascontiguousarray(bare.spread(v)) for v in (lower, upper, value))
         block = Block(name, items, stages, offset, low, high, default, fixed)
-        crossed = np.argwhere(low > high)
-        if crossed.size:
-            item, stage = (int(i) for i in crossed[0])
-            raise ProgramError(
-                f"block {name!r}, item {item}, stage {stage}: the lower bound {low[item, stage]:g} "
-                f"is above the upper bound {high[item, stage]:g}"
-            )
+        block.check_order(low, high)
         blocks[name] = block
         return block
 

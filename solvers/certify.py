@@ -1,4 +1,4 @@
-"""Holding a convex solver to its word: what it calls solved is measured before it is believed."""
+"""Holding a convex solver to its word: what it reports is measured before it is believed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from solvers.matrices import MatrixMaker, proves_infeasible
 from solvers.solution import Solution
 from solvers.status import SolutionStatus, TerminationCondition
 
@@ -18,12 +19,18 @@ _ACCEPTABLE = 1e-3
 
 
 def certified(solution: Solution) -> Solution:
-    """The solution of a convex program with the status that its own residuals support.
+    """The solution of a convex program with the status that its own numbers support.
 
-    The largest of primal residual, dual residual and gap decides, each relative to the size of
-    what it is the error of: below 1e-4 the point is an optimum, below 1e-3 an acceptable one, and
-    otherwise it is none, whatever the solver says.
+    Where the solver reports an optimum, the largest of primal residual, dual residual and gap
+    decides, each relative to the size of what it is the error of: below 1e-4 the point is an optimum,
+    below 1e-3 an acceptable one, and otherwise it is none. Where it reports infeasibility, this is
+    proven if the multipliers are a certificate; see :func:`solvers.proves_infeasible`. Anything else
+    has no status.
     """
+    if solution.termination is TerminationCondition.INFEASIBLE:
+        return replace(solution, status=_infeasible(solution))
+    if solution.termination not in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE):
+        return replace(solution, status=SolutionStatus.NONE)
     error = _relative_error(solution)
     if error <= _CONVERGED:
         return replace(solution, status=SolutionStatus.GLOBALLY_OPTIMAL)
@@ -40,6 +47,12 @@ def certified(solution: Solution) -> Solution:
         termination=TerminationCondition.NUMERICAL_FAILURE,
         message=f"{solution.message}, but its residuals are {error:.0e} relative",
     )
+
+
+def _infeasible(solution: Solution) -> SolutionStatus:
+    matrices = MatrixMaker(solution.evaluator).at(solution.instance)
+    proven = proves_infeasible(matrices, solution.lam_x, solution.lam_g, solution.z)
+    return SolutionStatus.PROVEN_INFEASIBLE if proven else SolutionStatus.LOCALLY_INFEASIBLE
 
 
 def _relative_error(solution: Solution) -> float:

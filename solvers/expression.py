@@ -10,6 +10,7 @@ so that the same text states a cost to a solver and evaluates it on numbers.
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -34,22 +35,62 @@ _UFUNCS: dict[np.ufunc, Callable[..., Any]] = {
     np.multiply: lambda a, b: a * b,
     np.true_divide: lambda a, b: a / b,
     np.power: lambda a, b: a**b,
+    np.float_power: lambda a, b: a**b,
     np.negative: lambda a: -a,
     np.positive: lambda a: a,
+    np.reciprocal: lambda a: 1.0 / a,
     np.square: lambda a: a * a,
     np.sqrt: ca.sqrt,
+    np.cbrt: lambda a: ca.sign(a) * ca.fabs(a) ** (1.0 / 3.0),
+    np.hypot: ca.hypot,
+    np.exp: ca.exp,
+    np.exp2: lambda a: 2.0**a,
+    np.expm1: ca.expm1,
+    np.log: ca.log,
+    np.log2: lambda a: ca.log(a) / np.log(2.0),
+    np.log10: ca.log10,
+    np.log1p: ca.log1p,
+    np.deg2rad: lambda a: a * (np.pi / 180.0),
+    np.radians: lambda a: a * (np.pi / 180.0),
+    np.rad2deg: lambda a: a * (180.0 / np.pi),
+    np.degrees: lambda a: a * (180.0 / np.pi),
     np.sin: ca.sin,
     np.cos: ca.cos,
-    np.exp: ca.exp,
-    np.log: ca.log,
+    np.tan: ca.tan,
+    np.arcsin: ca.asin,
+    np.arccos: ca.acos,
+    np.arctan: ca.atan,
     np.arctan2: ca.atan2,
+    np.sinh: ca.sinh,
+    np.cosh: ca.cosh,
+    np.tanh: ca.tanh,
+    np.arcsinh: ca.asinh,
+    np.arccosh: ca.acosh,
+    np.arctanh: ca.atanh,
+}
+
+_NOT_SMOOTH: dict[np.ufunc, str] = {
+    np.absolute: "an absolute value is not smooth; write largest(x, -x)",
+    np.fabs: "an absolute value is not smooth; write largest(x, -x)",
+    np.maximum: "a maximum is not smooth; write largest(x, y)",
+    np.fmax: "a maximum is not smooth; write largest(x, y)",
+    np.minimum: "a minimum is not smooth; write -largest(-x, -y)",
+    np.fmin: "a minimum is not smooth; write -largest(-x, -y)",
+    np.sign: "a sign is not smooth; a formula cannot have one",
 }
 
 # array <= expression reaches us as a ufunc with the sides in this order: turn it round
-_COMPARISONS: dict[np.ufunc, Callable[..., Any]] = {
+_TURNED: dict[np.ufunc, Callable[..., Any]] = {
     np.less_equal: lambda expression, array: expression >= array,
     np.greater_equal: lambda expression, array: expression <= array,
+    np.less: lambda expression, array: expression > array,
+    np.greater: lambda expression, array: expression < array,
     np.equal: lambda expression, array: expression == array,
+}
+_TURNED_SUMS = _TURNED | {
+    np.add: lambda total, array: total + array,
+    np.subtract: lambda total, array: -total + array,
+    np.multiply: lambda total, array: total * array,
 }
 
 
@@ -66,7 +107,41 @@ class Leaf:
     source: Index | Array
 
 
-class Expression:
+class _Symbolic:
+    """What compares to constraints and stands in no array of NumPy."""
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]
+
+    @abstractmethod
+    def __sub__(self, other: Any) -> Any: ...
+
+    def __le__(self, other: Any) -> Constraint:
+        return Constraint(self - other, -np.inf, 0.0)
+
+    def __ge__(self, other: Any) -> Constraint:
+        return Constraint(self - other, 0.0, np.inf)
+
+    def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
+        return Constraint(self - other, 0.0, 0.0)
+
+    def __lt__(self, other: Any) -> Constraint:
+        raise ProgramError("a constraint cannot be strict; write <= or >=")
+
+    __gt__ = __lt__
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        raise _unavailable(function.__name__)
+
+
+def _unavailable(name: str) -> ProgramError:
+    known = ", ".join(sorted(ufunc.__name__ for ufunc in _UFUNCS))
+    return ProgramError(
+        f"numpy.{name} does not act on expressions; arithmetic, slicing, total, largest and these do: {known}"
+    )
+
+
+class Expression(_Symbolic):
     """An array of shape ``(items, stages)`` of values of one formula.
 
     Made by :class:`solvers.ProgramBuilder`; combined by arithmetic, NumPy functions and slicing.
@@ -75,7 +150,6 @@ class Expression:
     """
 
     __slots__ = ("builder", "formula", "leaves", "shape")
-    __hash__ = None  # type: ignore[assignment]
 
     def __init__(
         self, builder: ProgramBuilder, formula: Any, leaves: dict[str, Leaf], shape: tuple[int, int]
@@ -116,14 +190,17 @@ class Expression:
         return Expression(self.builder, formula, leaves, shape)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        if ufunc in _COMPARISONS and isinstance(inputs[1], Expression):
-            return _COMPARISONS[ufunc](inputs[1], inputs[0])
-        operation = _UFUNCS.get(ufunc)
-        if method != "__call__" or operation is None or kwargs:
-            return NotImplemented
         if any(isinstance(i, Sum) for i in inputs):
-            return NotImplemented
-        return self._combine(operation, *inputs)
+            return NotImplemented  # the sum refuses it
+        if ufunc in _TURNED and isinstance(inputs[1], Expression):
+            return _TURNED[ufunc](inputs[1], inputs[0])
+        if ufunc in _NOT_SMOOTH:
+            raise ProgramError(_NOT_SMOOTH[ufunc])
+        if method != "__call__" or ufunc not in _UFUNCS:
+            raise _unavailable(ufunc.__name__ if method == "__call__" else f"{ufunc.__name__}.{method}")
+        if kwargs:
+            raise ProgramError(f"numpy.{ufunc.__name__} takes no {', '.join(kwargs)} for expressions")
+        return self._combine(_UFUNCS[ufunc], *inputs)
 
     def _combine(self, operation: Callable[..., Any], *inputs: Any) -> Expression:
         operands = [self.builder.expression(i) for i in inputs]
@@ -171,27 +248,13 @@ class Expression:
         return self._combine(_UFUNCS[np.negative], self)
 
     def __abs__(self) -> Any:
-        raise ProgramError("an absolute value is not smooth; write largest(x, -x)")
+        raise ProgramError(_NOT_SMOOTH[np.absolute])
 
     def __pos__(self) -> Any:
         return self
 
-    def __le__(self, other: Any) -> Constraint:
-        return Constraint(self - other, -np.inf, 0.0)
 
-    def __ge__(self, other: Any) -> Constraint:
-        return Constraint(self - other, 0.0, np.inf)
-
-    def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
-        return Constraint(self - other, 0.0, 0.0)
-
-    def __lt__(self, other: Any) -> Constraint:
-        raise ProgramError("a constraint cannot be strict; write <= or >=")
-
-    __gt__ = __lt__
-
-
-class Sum:
+class Sum(_Symbolic):
     """A sum of expressions over their items: one value per stage. Made by :func:`total`.
 
     Sums can be added, subtracted, multiplied by numbers and compared; they cannot enter a
@@ -199,14 +262,20 @@ class Sum:
     """
 
     __slots__ = ("terms",)
-    __hash__ = None  # type: ignore[assignment]
-    __array_ufunc__ = None  # numpy defers to the reflected operators
 
     def __init__(self, terms: tuple[Expression, ...]) -> None:
         self.terms = terms
 
     def __repr__(self) -> str:
         return f"Sum of {len(self.terms)} terms"
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        known = method == "__call__" and not kwargs and ufunc in _TURNED_SUMS
+        if known and not isinstance(inputs[0], _Symbolic):
+            return _TURNED_SUMS[ufunc](inputs[1], inputs[0])
+        raise ProgramError(
+            f"numpy.{ufunc.__name__} does not act on sums; they can only be added, scaled and compared"
+        )
 
     @property
     def stages(self) -> int:
@@ -274,20 +343,6 @@ class Sum:
         raise ProgramError(
             "a sum cannot be raised to a power; square its terms, or state the sum as a variable"
         )
-
-    def __le__(self, other: Any) -> Constraint:
-        return Constraint(self - other, -np.inf, 0.0)
-
-    def __ge__(self, other: Any) -> Constraint:
-        return Constraint(self - other, 0.0, np.inf)
-
-    def __eq__(self, other: object) -> Constraint:  # type: ignore[override]
-        return Constraint(self - other, 0.0, 0.0)
-
-    def __lt__(self, other: Any) -> Constraint:
-        raise ProgramError("a constraint cannot be strict; write <= or >=")
-
-    __gt__ = __lt__
 
 
 @dataclass(frozen=True, eq=False)

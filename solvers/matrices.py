@@ -38,6 +38,22 @@ class Matrices:
     s: sp.csc_array
     s0: Array
 
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of ``(a; I) x``: rows first, then variables."""
+        return (
+            np.concatenate([self.row_lower, self.lower]),
+            np.concatenate([self.row_upper, self.upper]),
+        )
+
+    @property
+    def cost_scale(self) -> float:
+        """What conic solvers want the cost divided by: the mean size of its slopes, at least 1.
+
+        Slopes in $ per p.u. are thousands.
+        """
+        return max(1.0, float(np.abs(self.q).sum()) / max(1, self.q.size))
+
 
 class MatrixMaker:
     """Makes the matrices of a program for one instance after the other.

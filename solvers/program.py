@@ -24,7 +24,7 @@ import numpy.typing as npt
 from solvers.errors import ProgramError
 from solvers.template import Template
 
-__all__ = ["Array", "Block", "Cone", "Index", "Instance", "Output", "Placement", "Program"]
+__all__ = ["Array", "Block", "Cone", "Epigraph", "Index", "Instance", "Output", "Placement", "Program"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -94,6 +94,16 @@ class Block:
             raise ProgramError(f"block {self.name!r}: item {item}, stage {stage} is not a number")
         return array
 
+    def check_order(self, lower: Array, upper: Array) -> None:
+        """Raise :class:`solvers.ProgramError` where a lower bound is above the upper one."""
+        crossed = np.argwhere(lower > upper)
+        if crossed.size:
+            item, stage = (int(i) for i in crossed[0])
+            raise ProgramError(
+                f"block {self.name!r}, item {item}, stage {stage}: the lower bound "
+                f"{lower[item, stage]:g} is above the upper bound {upper[item, stage]:g}"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class Cone:
@@ -126,6 +136,22 @@ class Cone:
     def read(self, vector: Array) -> Array:
         """The block's part as an array of shape ``(dimension, items, stages)``."""
         return vector[self.slice].reshape(self.dimension, self.items, self.stages, order="F")
+
+
+@dataclass(frozen=True, eq=False)
+class Epigraph:
+    """Variables ``t`` that stand for a maximum: ``t - piece >= 0`` in every row of their pieces.
+
+    Attributes
+    ----------
+    variables
+        Block of the variables.
+    pieces
+        Blocks of rows.
+    """
+
+    variables: Block
+    pieces: tuple[Block, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +215,7 @@ class Program:
     costs: tuple[Placement, ...]
     cone_values: tuple[Placement, ...]
     outputs: Mapping[str, Output] = field(default_factory=dict)
+    epigraphs: tuple[Epigraph, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -292,14 +319,7 @@ def _check_order(blocks: Iterable[Block], lower: Array, upper: Array) -> None:
     if (lower <= upper).all():
         return
     for block in blocks:
-        low, high = block.read(lower), block.read(upper)
-        crossed = np.argwhere(low > high)
-        if crossed.size:
-            item, stage = (int(i) for i in crossed[0])
-            raise ProgramError(
-                f"block {block.name!r}, item {item}, stage {stage}: the lower bound "
-                f"{low[item, stage]:g} is above the upper bound {high[item, stage]:g}"
-            )
+        block.check_order(block.read(lower), block.read(upper))
 
 
 def _join(blocks: Iterable[Block], attribute: str) -> Array:

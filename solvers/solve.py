@@ -129,8 +129,8 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
     Parameters
     ----------
     name
-        ``"auto"``, a back end (``"ipopt"``, ``"qp"``, ``"conic"``), a solver that one of them
-        calls (``"osqp"``), or both (``"qp:clarabel"``).
+        ``"auto"``, a back end (``"ipopt"``, ``"clarabel"``, ``"qp"``), a solver that one of them
+        calls (``"scs"``), or both (``"conic:scs"``).
     kind
         Kind of the program, which decides between back ends that call a solver of the same name.
 
@@ -267,24 +267,20 @@ _ENDED_BY_WILL = (
     TerminationCondition.INTERRUPTED,
     TerminationCondition.ITERATION_LIMIT,
     TerminationCondition.TIME_LIMIT,
+    TerminationCondition.LIMIT,
     TerminationCondition.UNBOUNDED,
 )
 # Up to how many variables "auto" prefers Clarabel, which certifies optima and infeasibility of convex
 # programs, to IPOPT, which is faster on large ones. docs/backends.md has the measurements.
-_MOST_FOR_QP = 5_000
-_MOST_FOR_CONIC = 20_000
+_PREFERRED = "clarabel"
+_MOST_VARIABLES = {Kind.LINEAR: 5_000, Kind.QUADRATIC: 5_000, Kind.CONIC: 20_000, Kind.NONLINEAR: 0}
 
 
 def choose(program: Program, kind: Kind) -> str:
     """The back end that ``"auto"`` stands for, by kind and size of the program."""
-    if kind <= Kind.QUADRATIC and program.n_variables <= _MOST_FOR_QP:
-        wanted = "qp"
-    elif kind <= Kind.CONIC and program.n_variables <= _MOST_FOR_CONIC:
-        wanted = "conic" if kind == Kind.CONIC else _LAST_RESORT
-    else:
-        wanted = _LAST_RESORT
-    end = back_ends().get(wanted)
-    return wanted if end is not None and installed(end) else _LAST_RESORT
+    end = back_ends().get(_PREFERRED)
+    suits = program.n_variables <= _MOST_VARIABLES[kind]
+    return _PREFERRED if suits and end is not None and installed(end) else _LAST_RESORT
 
 
 def _blocks(names: tuple[str, ...]) -> str:

@@ -8,7 +8,12 @@ __all__ = ["SolutionStatus", "TerminationCondition"]
 
 
 class TerminationCondition(StrEnum):
-    """Why the back end stopped, as it reported it."""
+    """Why the back end stopped, as it reported it.
+
+    ``LIMIT`` is a limit of iterations, time or something else, where a library between us and the
+    solver does not pass on which. ``ERROR`` is a status that no table of a back end has; the
+    message of the solution holds the solver's own words.
+    """
 
     CONVERGED = "converged"
     ACCEPTABLE = "acceptable"
@@ -16,18 +21,11 @@ class TerminationCondition(StrEnum):
     UNBOUNDED = "unbounded"
     ITERATION_LIMIT = "iteration limit"
     TIME_LIMIT = "time limit"
+    LIMIT = "limit"
     INTERRUPTED = "interrupted"
     NUMERICAL_FAILURE = "numerical failure"
     INVALID_PROGRAM = "invalid program"
     ERROR = "error"
-
-    @classmethod
-    def said(cls, message: str) -> TerminationCondition:
-        """The condition that a solver's own words mean, for solvers without a table of statuses."""
-        words = "".join(c for c in message.lower() if c.isalpha())
-        if not words:
-            return cls.ERROR
-        return next((condition for word, condition in _WORDS.items() if word in words), cls.NUMERICAL_FAILURE)
 
 
 class SolutionStatus(StrEnum):
@@ -47,20 +45,3 @@ class SolutionStatus(StrEnum):
     def is_optimal(self) -> bool:
         """Whether the point is an optimum of some kind."""
         return self in (SolutionStatus.GLOBALLY_OPTIMAL, SolutionStatus.LOCALLY_OPTIMAL)
-
-
-# Words in a solver's status, in the order in which they decide.
-_WORDS = {
-    "dualinfeas": TerminationCondition.UNBOUNDED,
-    "unbounded": TerminationCondition.UNBOUNDED,
-    "infeas": TerminationCondition.INFEASIBLE,
-    "almostsolved": TerminationCondition.ACCEPTABLE,
-    "inaccurate": TerminationCondition.ACCEPTABLE,
-    "time": TerminationCondition.TIME_LIMIT,
-    "maxiter": TerminationCondition.ITERATION_LIMIT,
-    "maximumiter": TerminationCondition.ITERATION_LIMIT,
-    "iterationlimit": TerminationCondition.ITERATION_LIMIT,
-    "interrupt": TerminationCondition.INTERRUPTED,
-    "sigint": TerminationCondition.INTERRUPTED,
-    "nonconvex": TerminationCondition.INVALID_PROGRAM,
-}

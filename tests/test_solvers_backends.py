@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +14,8 @@ from numpy.testing import assert_allclose
 
 import solvers
 from solvers import ProgramBuilder, SolutionStatus, TerminationCondition, total
-from solvers.backends.qp import QPSession
+from solvers.backends import clarabel, conic, osqp, qp
+from solvers.backends.clarabel import ClarabelSession
 from solvers.certify import certified
 
 
@@ -165,13 +170,13 @@ def test_auto_asks_another_back_end_where_the_first_finds_nothing(
     build.minimize((x - 3.0) ** 2)
     program = build.build()
     sessions = {name: solvers.prepare(program, name) for name in ("auto", "qp")}
-    solve = QPSession.solve
+    solve = ClarabelSession.solve
 
     def failing(self, *given) -> solvers.Solution:
         found = solve(self, *given)
         return replace(found, termination=termination, status=SolutionStatus.NONE, message="lost")
 
-    monkeypatch.setattr(QPSession, "solve", failing)
+    monkeypatch.setattr(ClarabelSession, "solve", failing)
     solution = sessions["auto"].solve(program.default)
     assert solution.status.is_optimal is asked_again
     assert ("clarabel failed: lost" in solution.message) is asked_again
@@ -186,3 +191,189 @@ def test_another_plugin_of_casadi_solves_the_same_program() -> None:
     )
     assert other.solver == "sqpmethod"
     assert other.objective == pytest.approx(reference.objective, abs=1e-5)
+
+
+# OSQP from one instance to the next -------------------------------------------------------------
+
+
+def storage(stages: int = 24) -> solvers.Program:
+    """A storage between a cheap unit and a dear one; the demand is a parameter."""
+    build = ProgramBuilder("storage")
+    hours = np.arange(stages)
+    demand = build.parameter("demand", 1, stages, [20.0 + 8.0 * np.sin(hours / 3.0)])
+    power = build.variable("power", 2, stages, 0.0, [18.0, 40.0])
+    stored = build.variable("stored", 1, stages, 0.0, 20.0)
+    build.minimize(np.array([10.0, 30.0]) * power + 0.05 * power**2)
+    charge = power[:1, 1:] + power[1:, 1:] - demand[:, 1:]
+    build.constrain("balance", stored[:, 1:] - stored[:, :-1] - charge == 0.0)
+    build.constrain("first", stored[:, :1] - (power[:1, :1] + power[1:, :1] - demand[:, :1]) == 0.0)
+    build.constrain("ramp", power[:, 1:] - power[:, :-1] <= 3.0)
+    return build.build()
+
+
+def moved(program: solvers.Program, stages: int) -> solvers.Instance:
+    hours = np.arange(program.parameters["demand"].stages) + stages
+    return program.instance({"demand": [20.0 + 8.0 * np.sin(hours / 3.0)]})
+
+
+def test_multipliers_of_a_start_save_osqp_most_of_its_iterations() -> None:
+    program = storage()
+    session = solvers.prepare(program, "osqp")
+    cold = session.solve(program.default)
+    again = session.solve(program.default, cold.start())
+    values_alone = session.solve(program.default, solvers.Start(cold.x))
+    assert again.iterations <= cold.iterations / 4
+    assert again.iterations <= values_alone.iterations / 4
+    ahead = moved(program, 1)
+    warm, fresh = session.solve(ahead, cold.shifted()), session.solve(ahead)
+    assert warm.iterations <= fresh.iterations
+    assert warm.status is fresh.status is SolutionStatus.GLOBALLY_OPTIMAL
+    assert warm.objective == pytest.approx(fresh.objective, rel=1e-5)
+
+
+def test_what_osqp_finds_does_not_depend_on_what_it_solved_before() -> None:
+    program = storage()
+    session = solvers.prepare(program, "osqp", {"adaptive_rho_tolerance": 1.1})
+    first = session.solve(program.default)
+    for stages in (1, 7):
+        session.solve(moved(program, stages), first.start())
+    last = session.solve(program.default)
+    assert last.iterations == first.iterations
+    assert_allclose(last.x, first.x, atol=1e-9)
+    assert_allclose(last.lam_g, first.lam_g, atol=1e-9)
+
+
+def test_osqp_prints_nothing_unless_asked(capfd: pytest.CaptureFixture[str]) -> None:
+    build = ProgramBuilder()
+    x = build.variable("x", 1)
+    build.minimize((x - 1.0) ** 2)
+    solvers.solve(build.build(), "osqp")  # it has a line for an optimum without active limits
+    assert capfd.readouterr().out == ""
+    solvers.solve(build.build(), "osqp", verbose=True)
+    assert "OSQP" in capfd.readouterr().out
+
+
+def test_a_program_that_osqp_cannot_set_up_is_a_status() -> None:
+    build = ProgramBuilder("not convex")
+    x = build.variable("x", 1, lower=-1.0, upper=2.0)
+    build.minimize(-1.0 * x**2)
+    program = build.build()
+    solution = osqp.OSQP().prepare(program, "osqp", {}, False).solve(program.default)
+    assert solution.termination is TerminationCondition.INVALID_PROGRAM
+    assert solution.status is SolutionStatus.NONE
+    assert "OSQP_NONCVX_ERROR" in solution.message
+
+
+@pytest.mark.parametrize(("solver", "option"), [("osqp", "max_iter"), ("qp:scs", "max_iters")])
+def test_an_interrupt_is_not_lost_in_a_solver_that_takes_it(solver: str, option: str) -> None:
+    if solver == "qp:scs":
+        pytest.importorskip("scs")
+    program = storage(200)
+    endless = {option: 10**9, "eps_abs": 1e-300, "eps_rel": 0.0}
+    session = solvers.prepare(program, solver, endless)
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        session.solve(program.default)
+    timer.join()
+
+
+# Statuses are tables ----------------------------------------------------------------------------
+
+
+def test_tables_have_every_status_of_their_solver() -> None:
+    import clarabel as library
+    from osqp import SolverError, SolverStatus
+
+    names = {name for name in dir(library.SolverStatus) if name[0].isupper()}
+    assert names - set(clarabel._TERMINATION) == {"Unsolved", "CallbackTerminated"}  # nothing calls back
+    assert set(clarabel._TERMINATION) <= names
+    names = set(SolverStatus.__members__)
+    assert names - set(osqp._TERMINATION) == {"OSQP_UNSOLVED"}
+    assert set(osqp._TERMINATION) <= names | set(SolverError.__members__)
+
+
+def test_the_table_of_piqp_has_its_statuses() -> None:
+    piqp = pytest.importorskip("piqp")
+    names, table = set(piqp.Status.__members__), set(qp._KNOWN["piqp"].statuses)
+    assert names - table == {"PIQP_SOLVED", "PIQP_UNSOLVED", "PIQP_INVALID_SETTINGS"}
+    assert table <= names
+
+
+@pytest.mark.parametrize(
+    ("solver", "table"), [("clarabel", clarabel._TERMINATION), ("osqp", osqp._TERMINATION)]
+)
+def test_a_status_that_is_in_no_table_is_an_error_with_the_solvers_words(
+    solver: str, table: dict[str, TerminationCondition], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in list(table):
+        monkeypatch.delitem(table, name)
+    solution = solvers.solve(storage(), solver)
+    assert solution.termination is TerminationCondition.ERROR
+    assert solution.status is SolutionStatus.NONE
+    assert solution.message.lower() == "solved"
+
+
+def test_words_of_a_message_are_no_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    import qpsolvers
+
+    def refuse(*given, **options) -> None:
+        raise qpsolvers.exceptions.SolverError("no time to see whether it is infeasible or unbounded")
+
+    monkeypatch.setattr(qpsolvers, "sparse_solvers", [*qpsolvers.sparse_solvers, "mine"])
+    monkeypatch.setattr(qpsolvers, "solve_problem", refuse)
+    solution = solvers.solve(storage(), "qp:mine")
+    assert solution.termination is TerminationCondition.ERROR
+    assert "no time" in solution.message
+
+
+def test_a_solver_without_a_table_has_found_an_optimum_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    import qpsolvers
+
+    monkeypatch.setattr(qpsolvers, "sparse_solvers", [*qpsolvers.sparse_solvers, "mine"])
+    for found, termination in ((True, TerminationCondition.CONVERGED), (False, TerminationCondition.ERROR)):
+
+        def solve(problem, solver, found=found, **options) -> qpsolvers.Solution:
+            return qpsolvers.Solution(
+                problem, found=found, x=np.array([0.5, 1.5]), y=np.zeros(0), z=np.ones(1), z_box=np.zeros(2)
+            )
+
+        monkeypatch.setattr(qpsolvers, "solve_problem", solve)
+        build = ProgramBuilder("projection")
+        x = build.variable("x", 2)
+        build.minimize((x - np.array([1.0, 2.0])) ** 2)
+        build.constrain("half-plane", total(x) <= 2.0)
+        solution = solvers.solve(build.build(), "qp:mine")
+        assert solution.termination is termination
+        assert solution.status.is_optimal is found
+
+
+@pytest.mark.parametrize(
+    ("solver", "found", "termination"),
+    [
+        ("ecos", {"info": {"exitFlag": -1}}, TerminationCondition.ITERATION_LIMIT),
+        ("gurobi", {"model": SimpleNamespace(Status=9)}, TerminationCondition.TIME_LIMIT),
+        ("gurobi", {"model": SimpleNamespace(Status=10)}, TerminationCondition.LIMIT),
+        ("scs", {"info": {"status_val": -3}}, TerminationCondition.NUMERICAL_FAILURE),
+        ("moreau", object(), TerminationCondition.LIMIT),
+    ],
+)
+def test_a_limit_behind_cvxpy_is_the_solvers_own_where_it_is_passed_on(
+    solver: str, found: object, termination: TerminationCondition
+) -> None:
+    chain = SimpleNamespace(solve_via_data=lambda *given, **options: found)
+    problem = SimpleNamespace(
+        get_problem_data=lambda name, solver_opts: ({}, chain, []),
+        unpack_results=lambda found, chain, inverse: None,
+        status="user_limit",
+    )
+    session = conic.ConicSession(storage(), solver, {}, False)
+    assert session._call(problem) == (termination, "user_limit")
+
+
+def test_a_plugin_that_reached_a_limit_says_no_more_than_that() -> None:
+    quiet = dict.fromkeys(("print_header", "print_status", "print_iteration"), False)
+    options = quiet | {"max_iter": 1, "qpsol_options": {"printLevel": "none"}}
+    solution = solvers.solve(rosenbrock(), "ipopt:sqpmethod", options=options)
+    assert solution.termination is TerminationCondition.LIMIT
+    assert solution.status is SolutionStatus.NONE

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 import solvers
 from solvers import Kind, ProgramBuilder, SolutionStatus, TerminationCondition, total
+from solvers.backends.clarabel import ClarabelSession
+from solvers.backends.osqp import OSQPSession
 
 # Largest error, relative to the size of an answer or to 1. Interior-point methods stop at 1e-6 to 1e-8 of
 # residuals and complementarity, which is what these programs' answers inherit. First-order methods
@@ -101,10 +103,24 @@ def test_a_start_at_the_answer_changes_nothing_but_effort(label: str, name: str)
     cold = session.solve(instance)
     warm = session.solve(instance, cold.start())
     assert_answer(warm, case.answers[0], label, case.kind)
-    if label in ("qp:osqp", "ipopt:ipopt"):  # that take starts; OSQP counts in steps of 25
+    if label.endswith((":osqp", ":ipopt")):  # that take starts; OSQP counts in steps of 25
         assert warm.iterations is not None
         assert cold.iterations is not None
         assert warm.iterations <= cold.iterations
+
+
+@pytest.mark.parametrize("label", [label for label in installed() if not label.startswith("ipopt")])
+def test_an_instance_may_have_entries_where_the_last_had_none(label: str) -> None:
+    """min c x²/2 - 6x with x <= 10: x = 6/c, and 10 where there is no curvature."""
+    program = built("parameter_in_the_hessian").program
+    session = solvers.prepare(program, label)
+    for c, x in ((0.0, 10.0), (2.0, 3.0), (0.0, 10.0), (3.0, 2.0)):
+        solution = session.solve(program.instance({"c": c}))
+        tolerance = TOLERANCE.get(label.partition(":")[2], INTERIOR)
+        assert_near(solution.value("x"), [x], tolerance, f"x for c = {c}")
+        assert_near(
+            solution.bound_dual("x"), [6.0 if c == 0.0 else 0.0], tolerance, f"multiplier for c = {c}"
+        )
 
 
 @pytest.mark.parametrize(("label", "name"), UNSOLVABLE)
@@ -125,16 +141,40 @@ def test_why_there_is_no_answer(label: str, name: str) -> None:
         assert solution.status is case.status
 
 
+LIMITS = {"clarabel": TerminationCondition.ITERATION_LIMIT, "osqp": TerminationCondition.ITERATION_LIMIT}
+
+
 @pytest.mark.parametrize("label", [label for label in installed() if label != "ipopt:ipopt"])
 def test_limits_are_statuses(label: str) -> None:
     """A solver that is stopped early says so and claims nothing."""
     limit = {
-        "qp:osqp": {"max_iter": 1}, "qp:scs": {"max_iters": 1}, "conic:scs": {"max_iters": 1},
+        "qp:scs": {"max_iters": 1}, "conic:scs": {"max_iters": 1},
         "qp:highs": {"simplex_iteration_limit": 0, "qp_iteration_limit": 0, "presolve": "off"},
     }.get(label, {"max_iter": 1})  # fmt: skip
     solution = solvers.solve(built("nocedal_wright").program, label, options=limit)
     assert solution.status is SolutionStatus.NONE
-    assert solution.termination is not TerminationCondition.CONVERGED
+    wanted = LIMITS.get(label.partition(":")[2])
+    if wanted is None:
+        assert solution.termination is not TerminationCondition.CONVERGED
+    else:
+        assert solution.termination is wanted
+
+
+@pytest.mark.parametrize(
+    ("label", "options"),
+    [
+        ("clarabel", {"max_iter": "many"}),
+        ("clarabel", {"direct_solve_method": "no_such"}),
+        ("osqp", {"eps_abs": -1.0}),
+        ("osqp", {"max_iter": "many"}),
+        ("osqp", {"solver_type": "no_such"}),
+    ],
+)
+def test_a_value_that_an_option_cannot_have_is_refused_before_anything_is_solved(
+    label: str, options: dict[str, object]
+) -> None:
+    with pytest.raises(solvers.SolverOptionError, match=f"{label} .*{next(iter(options.values()))}"):
+        solvers.prepare(built("box").program, label, options)
 
 
 @pytest.mark.parametrize("label", installed())
@@ -217,7 +257,7 @@ def test_cones_and_curves_are_refused_with_their_names() -> None:
     with pytest.raises(
         solvers.UnsupportedProgramError,
         match=r"'qp' solves at most a convex quadratic program, but block 'disc' of 'disc' makes it a "
-        r"second-order cone program; back ends that accept it: conic, ipopt$",
+        r"second-order cone program; back ends that accept it: clarabel, conic, ipopt$",
     ):
         solvers.prepare(built("disc").program, "qp")
     with pytest.raises(
@@ -232,8 +272,24 @@ def test_a_solver_that_is_not_installed_is_refused_with_what_is(name: str) -> No
     with pytest.raises(solvers.UnknownSolverError) as error:
         solvers.prepare(built("box").program, name)
     assert f"there is no solver {name!r} here; installed are: " in str(error.value)
-    for end in ("qp (clarabel", "conic (clarabel", "ipopt (ipopt"):
+    for end in ("clarabel (clarabel)", "osqp (osqp)", "qp (clarabel", "conic (clarabel", "ipopt (ipopt"):
         assert end in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "session"),
+    [
+        ("clarabel", ClarabelSession),
+        ("qp", ClarabelSession),
+        ("qp:clarabel", ClarabelSession),
+        ("conic", ClarabelSession),
+        ("conic:clarabel", ClarabelSession),
+        ("osqp", OSQPSession),
+        ("qp:osqp", OSQPSession),
+    ],
+)
+def test_every_name_of_a_solver_means_its_own_back_end(name: str, session: type) -> None:
+    assert isinstance(solvers.prepare(built("box").program, name), session)
 
 
 # A solver is held to its word -------------------------------------------------------------------

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import solvers
-from solvers import Degree, Evaluator, Kind, ProgramBuilder, ProgramError, classify, largest, total
+from solvers import (
+    Degree,
+    Evaluator,
+    Kind,
+    ProgramBuilder,
+    ProgramError,
+    classify,
+    largest,
+    largest_by,
+    total,
+)
+from solvers.expression import _UFUNCS
 
 
 def evaluate(
@@ -38,6 +49,48 @@ def test_arithmetic_means_what_it_means_for_arrays(a: np.ndarray, b: np.ndarray)
     build = ProgramBuilder()
     x, y = build.variable("x", 3, 4), build.variable("y", 3, 4)
     assert_allclose(evaluate(build, formula(x, y), {"x": a, "y": b}), formula(a, b), rtol=1e-12)
+
+
+# Functions, each with an interval on which it is smooth; of two arguments both are drawn from it.
+FUNCTIONS: dict[np.ufunc, tuple[float, float]] = {
+    np.positive: (-2, 2), np.negative: (-2, 2), np.reciprocal: (0.5, 2), np.square: (-2, 2), np.sqrt: (0.5, 2),
+    np.cbrt: (-2, -0.5), np.exp: (-2, 2), np.exp2: (-2, 2), np.expm1: (-1e-6, 1e-6), np.log: (0.5, 2),
+    np.log2: (0.5, 2), np.log10: (0.5, 2), np.log1p: (-1e-6, 1e-6), np.deg2rad: (-90, 90),
+    np.radians: (-90, 90), np.rad2deg: (-2, 2), np.degrees: (-2, 2), np.sin: (-2, 2), np.cos: (-2, 2),
+    np.tan: (-1, 1), np.arcsin: (-0.8, 0.8), np.arccos: (-0.8, 0.8), np.arctan: (-2, 2), np.sinh: (-2, 2),
+    np.cosh: (-2, 2), np.tanh: (-2, 2), np.arcsinh: (-2, 2), np.arccosh: (1.5, 3), np.arctanh: (-0.8, 0.8),
+    np.add: (-2, 2), np.subtract: (-2, 2), np.multiply: (-2, 2), np.true_divide: (0.5, 2),
+    np.power: (0.5, 2), np.float_power: (0.5, 2), np.hypot: (0.5, 2), np.arctan2: (0.5, 2),
+}  # fmt: skip
+
+
+def test_every_function_is_tested() -> None:
+    assert set(FUNCTIONS) == set(_UFUNCS)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
+@given(data=st.data())
+@settings(max_examples=20)
+def test_functions_are_those_of_numpy_with_their_gradients(function: np.ufunc, data: st.DataObject) -> None:
+    low, high = FUNCTIONS[function]
+    inside = st.floats(low, high)
+    given = [data.draw(st.lists(inside, min_size=2, max_size=2)) for _ in range(function.nin)]
+    at = np.array(given)  # (arguments, items)
+    build = ProgramBuilder()
+    arguments = [build.variable(f"x{i}", 2) for i in range(function.nin)]
+    build.minimize(function(*arguments))
+    build.output("values", function(*arguments))
+    program = build.build()
+    evaluator, none = Evaluator(program), program.default.parameters
+    assert_allclose(
+        evaluator.outputs(at.ravel(), none)["values"].ravel(), function(*at), rtol=1e-13, atol=1e-19
+    )
+    step = 1e-6 * max(abs(low), abs(high))
+    slopes = [
+        (function(*(at + step * e[:, None])) - function(*(at - step * e[:, None]))) / (2 * step)
+        for e in np.eye(function.nin)
+    ]
+    assert_allclose(evaluator.gradient(at.ravel(), none), np.concatenate(slopes), rtol=1e-6, atol=1e-8)
 
 
 @given(a=arrays, rows=st.lists(st.integers(0, 2), min_size=1, max_size=5), first=st.integers(0, 3))
@@ -79,6 +132,21 @@ def test_the_largest_is_exact_when_minimised(a: np.ndarray) -> None:
     expected = np.maximum.reduce([np.ones_like(a), a, 3.0 - 2.0 * a])
     assert solvers.solve(build.build()).objective == pytest.approx(expected.sum(), rel=1e-6)
     assert_allclose(largest(1.0, a, 3.0 - 2.0 * a), expected)
+
+
+def test_a_program_says_which_variables_are_maxima_whatever_they_are_called() -> None:
+    build = ProgramBuilder()
+    x = build.variable("largest_1", 3, 4, 0.0, 1.0)
+    build.rows("largest_1_piece_1", 3, 4)
+    build.minimize(largest(0.0, x - 0.5))
+    build.minimize(largest_by(np.array([0, 0, 1]), 2.0 * x, 2))
+    program = build.build()
+    first, second = program.epigraphs
+    assert (first.variables.shape, len(first.pieces)) == ((3, 4), 2)
+    assert (second.variables.shape, [rows.shape for rows in second.pieces]) == ((2, 4), [(3, 4)])
+    known = {*first.pieces, *second.pieces}
+    assert {name for name, rows in program.rows.items() if rows not in known} == {"largest_1_piece_1"}
+    assert program.variables["largest_1"] not in (first.variables, second.variables)
 
 
 @given(a=arrays)
@@ -190,6 +258,50 @@ def test_bad_numbers_are_named(call, message: str) -> None:
     build.parameter("d", 2, 3)
     with pytest.raises(ProgramError, match=message):
         call(build.build())
+
+
+@pytest.mark.parametrize(
+    ("misuse", "message"),
+    [
+        (abs, r"absolute value is not smooth; write largest\(x, -x\)"),
+        (np.abs, r"absolute value is not smooth; write largest\(x, -x\)"),
+        (np.fabs, r"absolute value is not smooth; write largest\(x, -x\)"),
+        (lambda x: np.maximum(0.0, x), r"maximum is not smooth; write largest\(x, y\)"),
+        (lambda x: np.minimum(x, 1.0), r"minimum is not smooth; write -largest\(-x, -y\)"),
+        (np.sign, "sign is not smooth"),
+        (np.floor, "numpy.floor .*: add, arccos, .*tanh"),
+        (np.sum, "numpy.sum .* total, .*tanh"),
+        (np.add.reduce, "numpy.add.reduce .* total, .*tanh"),
+        (lambda x: np.clip(x, 0.0, 1.0), "numpy.clip .*largest"),
+        (lambda x: np.where(np.ones((2, 1)) > 0, x, 0.0), "numpy.where"),
+        (lambda x: np.sin(x, where=np.ones((2, 1), dtype=bool)), "numpy.sin takes no where"),
+        (lambda x: np.ones(2) < x, "cannot be strict"),
+        (lambda x: np.exp(total(x)), "numpy.exp does not act on sums"),
+        (lambda x: np.multiply(x, total(x)), "numpy.multiply does not act on sums"),
+        (lambda x: np.sum(total(x)), "numpy.sum"),
+    ],
+)
+def test_a_function_that_is_not_available_is_named_with_those_that_are(misuse, message: str) -> None:
+    x = ProgramBuilder().variable("x", 2)
+    with pytest.raises(ProgramError, match=message):
+        misuse(x)
+
+
+def test_arrays_combine_with_sums_from_either_side() -> None:
+    build = ProgramBuilder()
+    x, array = build.variable("x", 2, 3), np.array([1.0, 2.0, 3.0])
+    values = np.arange(6.0).reshape((2, 3))
+    for stated, wanted in (
+        (array + total(x), array + values.sum(axis=0)),
+        (array - total(x), array - values.sum(axis=0)),
+        (array * total(x), array * values.sum(axis=0)),
+        (np.float64(2.0) * total(x), 2.0 * values.sum(axis=0)),
+    ):
+        rows = build.constrain(f"sum {len(build._rows)}", stated == 0.0)
+        found = Evaluator(build.build()).rows(values.ravel(order="F"), build.build().default.parameters)
+        assert_allclose(found[rows.index[0]], wanted)
+    for constraint, bounds in ((array <= total(x), (0.0, np.inf)), (array >= total(x), (-np.inf, 0.0))):
+        assert (constraint.lower, constraint.upper) == bounds
 
 
 def test_misuse_of_expressions_is_refused() -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import opfmodel as om
+import solvers
 from opfmodel.devices.generator import GeneratorDevice
 from opfmodel.devices.storage import StorageDevice
 from opfmodel.errors import ModelError
@@ -32,7 +35,9 @@ from opfmodel.testing import (
     check_profile,
 )
 from opfmodel.testing.grids import feeder
-from solvers import Kind, Solution, SolutionStatus, largest, total
+from opfmodel.testing.sampling import at_random
+from solvers import Kind, ProgramBuilder, Solution, SolutionStatus, largest, total
+from solvers.backends.osqp import OSQP
 from solvers.backends.qp import QP
 
 # Objectives -------------------------------------------------------------------------------------
@@ -481,6 +486,25 @@ def test_a_plant_that_breaks_a_rule_is_caught(plant, message: str) -> None:
         check_plant(plant)
 
 
+# Random points ----------------------------------------------------------------------------------
+
+
+def test_maxima_at_random_points_are_known_by_type_and_not_by_name() -> None:
+    build = ProgramBuilder()
+    load = build.variable("largest_load", 3, 2, 1.0, 2.0)
+    build.minimize(largest(1.5, load))
+    program = build.build()
+    solved = SimpleNamespace(
+        solution=solvers.solve(program), problem=SimpleNamespace(model=None), stage=SimpleNamespace(network=None),
+        time=0,
+    )  # fmt: skip
+    solution = at_random(solved, np.random.default_rng(1)).solution
+    value = solution.value("largest_load")
+    assert ((value >= 1.0) & (value <= 2.0)).all()
+    assert_allclose(solution.value(program.epigraphs[0].variables.name), np.maximum(1.5, value))
+    assert solution.objective == pytest.approx(np.maximum(1.5, value).sum())
+
+
 # Back ends --------------------------------------------------------------------------------------
 
 
@@ -529,7 +553,7 @@ def stale(solution: Solution) -> Solution:
         (Meddling(stale), "keeps the instance that it solved|solves the next instance"),
         (type("Nameless", (QP,), {"name": ""})(), "has a name"),
         (type("Bare", (QP,), {"solvers": lambda self: iter(())})(), "names its installed solvers"),
-        (type("Bold", (QP,), {"accepts": Kind.CONIC})(), "breaks the rule .*'disc'"),
+        (type("Bold", (OSQP,), {"accepts": Kind.CONIC})(), "breaks the rule .*'disc'"),
     ],
 )
 def test_a_back_end_that_breaks_a_rule_is_caught(end, message: str) -> None:

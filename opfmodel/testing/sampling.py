@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from opfmodel.plan import Plan
-from solvers import Block, Solution
+from solvers import Epigraph, Solution
 
 __all__ = ["at_random"]
 
@@ -22,23 +22,21 @@ def at_random(plan: Plan, rng: np.random.Generator) -> Plan:
     low = np.where(np.isfinite(instance.lower), instance.lower, np.minimum(instance.upper, 2.0) - 2.0)
     high = np.where(np.isfinite(instance.upper), instance.upper, low + 2.0)
     solution = replace(plan.solution, x=rng.uniform(low, high))
-    for block in solution.program.variables.values():
-        if block.name.startswith("largest_"):
-            solution = _raised(solution, block)
+    for epigraph in solution.program.epigraphs:
+        solution = _raised(solution, epigraph)
     return Plan(plan.problem, plan.problem.model, solution, plan.stage.network, plan.time)
 
 
-def _raised(solution: Solution, block: Block) -> Solution:
-    """The point with one block of maxima put on the largest of its pieces, from its rows ``t - piece``."""
-    x = solution.x.copy()
+def _raised(solution: Solution, epigraph: Epigraph) -> Solution:
+    """The point with maxima put on the largest of their pieces, which are in rows ``t - piece``."""
+    x, block = solution.x.copy(), epigraph.variables
     x[block.slice] = 0.0
     solution = replace(solution, x=x)
     most = np.full(block.size, -np.inf)
     slopes = solution.evaluator.jacobian(x, solution.instance.parameters).tocsr()[:, block.slice]
-    for rows in solution.program.rows.values():
-        if rows.name.startswith(f"{block.name}_piece_"):
-            row, column = slopes[rows.slice].nonzero()
-            np.maximum.at(most, column, -solution.rows[rows.slice][row])
+    for rows in epigraph.pieces:
+        row, column = slopes[rows.slice].nonzero()
+        np.maximum.at(most, column, -solution.rows[rows.slice][row])
     x = x.copy()
     x[block.slice] = most
     return replace(solution, x=x)

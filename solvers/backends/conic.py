@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from solvers.assembly import Evaluator
+from solvers.backends.clarabel import Clarabel
 from solvers.certify import certified
 from solvers.errors import SolverOptionError
-from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
+from solvers.matrices import Matrices, MatrixMaker, StandardForm, standard_form
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
+from solvers.solve import Session
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind
 
@@ -22,7 +24,6 @@ __all__ = ["Conic"]
 
 _PREFERRED = ("clarabel", "mosek", "ecos", "scs")
 _DEFAULTS: dict[str, dict[str, Any]] = {
-    "clarabel": {},
     # Measured on twenty DC and SOC problems: SCS's own acceleration never comes to an end on two of them,
     # without it and with this scale all are solved, in 50 to 4,000 iterations.
     "scs": {
@@ -33,6 +34,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
         "acceleration_lookback": 0,
     },
 }
+# Statuses of CVXPY, which are the same for all solvers.
 _TERMINATION = {
     "optimal": TerminationCondition.CONVERGED,
     "optimal_inaccurate": TerminationCondition.ACCEPTABLE,
@@ -40,7 +42,32 @@ _TERMINATION = {
     "infeasible_inaccurate": TerminationCondition.INFEASIBLE,
     "unbounded": TerminationCondition.UNBOUNDED,
     "unbounded_inaccurate": TerminationCondition.UNBOUNDED,
-    "user_limit": TerminationCondition.ITERATION_LIMIT,
+    "user_limit": TerminationCondition.LIMIT,
+}
+# What CVXPY lumps together as a limit or an error: where the solver's own status is, and what it means.
+_OWN: dict[str, tuple[Callable[[Any], int], dict[int, TerminationCondition]]] = {
+    "scs": (
+        lambda found: int(found["info"]["status_val"]),
+        {-3: TerminationCondition.NUMERICAL_FAILURE, -5: TerminationCondition.INTERRUPTED},
+    ),
+    "ecos": (
+        lambda found: int(found["info"]["exitFlag"]),
+        {
+            -1: TerminationCondition.ITERATION_LIMIT,
+            -2: TerminationCondition.NUMERICAL_FAILURE,
+            -3: TerminationCondition.NUMERICAL_FAILURE,
+            -4: TerminationCondition.INTERRUPTED,
+        },
+    ),
+    "gurobi": (
+        lambda found: int(found["model"].Status),
+        {
+            7: TerminationCondition.ITERATION_LIMIT,
+            9: TerminationCondition.TIME_LIMIT,
+            11: TerminationCondition.INTERRUPTED,
+            12: TerminationCondition.NUMERICAL_FAILURE,
+        },
+    ),
 }
 
 
@@ -60,67 +87,79 @@ class Conic:
         yield from (name for name in _PREFERRED if name in able)
         yield from (name for name in able if name not in _PREFERRED)
 
-    def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> ConicSession:
-        """Fold the program into matrices."""
+    def prepare(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> Session:
+        """Fold the program into matrices, here or in the solver's own back end."""
+        if solver == Clarabel.name:
+            return Clarabel().prepare(program, solver, options, verbose)
         return ConicSession(program, solver, options, verbose)
 
 
 class ConicSession:
     """A program as matrices, stated to CVXPY without a loop over buses or stages."""
 
-    def __init__(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> None:
+    def __init__(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> None:
         self._program = program
         self._evaluator = Evaluator(program)
         self._maker = MatrixMaker(self._evaluator)
         self._solver = solver
-        self._options = _DEFAULTS.get(solver, {}) | options
+        self._options = _DEFAULTS.get(solver, {}) | dict(options)
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:  # noqa: ARG002
-        """Solve; CVXPY's interior-point solvers have no use for a start."""
-        import cvxpy as cp
+        """Solve; CVXPY has no use for a start.
 
-        matrices = self._maker.at(instance)
-        stated = _Stated(self._program, matrices)
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C, where the solver takes it for itself.
+        """
+        stated = _Stated(self._program, self._maker.at(instance))
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the status says it
-                stated.problem.solve(solver=self._solver.upper(), verbose=self._verbose, **self._options)
+                termination, message = self._call(stated.problem)
         except (TypeError, AttributeError, ValueError) as error:
             raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
-        except cp.error.SolverError as error:
-            return self._solution(instance, stated, matrices, str(error), time.perf_counter() - began)
-        status = str(stated.problem.status)
-        return self._solution(instance, stated, matrices, status, time.perf_counter() - began)
-
-    def _solution(
-        self, instance: Instance, stated: _Stated, matrices: Matrices, message: str, seconds: float
-    ) -> Solution:
-        termination = _TERMINATION.get(message, TerminationCondition.NUMERICAL_FAILURE)
+        seconds = time.perf_counter() - began
+        if termination is TerminationCondition.INTERRUPTED:
+            raise KeyboardInterrupt
         x, lam_x, lam_g, z = stated.values()
-        status = SolutionStatus.NONE
-        if termination is TerminationCondition.INFEASIBLE:
-            proven = proves_infeasible(matrices, lam_x, lam_g, z)
-            status = SolutionStatus.PROVEN_INFEASIBLE if proven else SolutionStatus.LOCALLY_INFEASIBLE
         stats = stated.problem.solver_stats
-        solution = Solution(
-            program=self._program,
-            evaluator=self._evaluator,
-            instance=instance,
-            x=x,
-            lam_x=stated.scale * lam_x,
-            lam_g=stated.scale * lam_g,
-            z=stated.scale * z,
-            termination=termination,
-            status=status,
-            message=message,
-            solver=self._solver,
-            iterations=None if stats is None else stats.num_iters,
-            seconds=seconds,
+        return certified(
+            Solution(
+                program=self._program,
+                evaluator=self._evaluator,
+                instance=instance,
+                x=x,
+                lam_x=lam_x,
+                lam_g=lam_g,
+                z=z,
+                termination=termination,
+                status=SolutionStatus.NONE,
+                message=message,
+                solver=self._solver,
+                iterations=None if stats is None else stats.num_iters,
+                seconds=seconds,
+            )
         )
-        claimed = termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE)
-        return certified(solution) if claimed else solution
+
+    def _call(self, problem: Any) -> tuple[TerminationCondition, str]:
+        """What ``problem.solve`` does, with a look at the solver's own result on the way."""
+        import cvxpy as cp
+
+        own = None
+        try:
+            data, chain, inverse = problem.get_problem_data(self._solver.upper(), solver_opts=self._options)
+            found = chain.solve_via_data(problem, data, verbose=self._verbose, solver_opts=self._options)
+            if self._solver in _OWN:
+                code, meaning = _OWN[self._solver]
+                own = meaning.get(code(found))
+            problem.unpack_results(found, chain, inverse)
+            message = str(problem.status)
+        except cp.error.SolverError as error:
+            message = str(error)
+        return own or _TERMINATION.get(message, TerminationCondition.ERROR), message
 
 
 class _Stated:
@@ -132,14 +171,13 @@ class _Stated:
         self._program = program
         self._form: StandardForm = standard_form(m)
         form = self._form
-        # Slopes in $ per p.u. are thousands. Measured on the SOC relaxations of 14 PGLib cases: divided by
-        # the largest, Clarabel stops short of its tolerance on five; undivided on two, and SCS needs up to
-        # fifty times the iterations; divided by the mean, on one.
-        self.scale = max(1.0, float(np.abs(m.q).mean())) if m.q.size else 1.0
+        # Slopes in $ per p.u. are thousands. Measured on the SOC relaxations of 14 PGLib cases: undivided,
+        # SCS needs up to fifty times the iterations.
+        self._scale = m.cost_scale
         self._x = x = cp.Variable(m.q.size)
-        cost = (m.q / self.scale) @ x
+        cost = (m.q / self._scale) @ x
         if m.p.nnz:
-            cost = cost + 0.5 * cp.quad_form(x, cp.psd_wrap(m.p / self.scale))
+            cost = cost + 0.5 * cp.quad_form(x, cp.psd_wrap(m.p / self._scale))
         self._low, self._high = (np.flatnonzero(np.isfinite(b)) for b in (form.lb, form.ub))
         self._equal = form.a @ x == form.b if form.b.size else None
         self._less = form.g @ x <= form.h if form.h.size else None
@@ -156,7 +194,7 @@ class _Stated:
         self.problem = cp.Problem(cp.Minimize(cost), [*(c for c in linear if c is not None), *self._cones])
 
     def values(self) -> tuple[Array, Array, Array, Array]:
-        """Primal values and multipliers ``(x, lam_x, lam_g, z)``, zero where there are none."""
+        """Values and multipliers ``(x, lam_x, lam_g, z)`` of the program, zero where there are none."""
         form = self._form
         x = _dense(self._x.value, form.q.size)
         z_box = np.zeros(form.q.size)
@@ -170,7 +208,7 @@ class _Stated:
             z[cone.index[0]] = _dense(bound, cone.index.shape[1])
             if entries is not None:
                 z[cone.index[1:]] = np.asarray(entries, dtype=float).reshape(cone.index[1:].shape)
-        return x, lam_x, lam_g, z
+        return x, self._scale * lam_x, self._scale * lam_g, self._scale * z
 
 
 def _dual(constraint: Any, size: int) -> Array:

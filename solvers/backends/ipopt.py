@@ -71,9 +71,10 @@ _TERMINATION = {
     "Invalid_Problem_Definition": TerminationCondition.INVALID_PROGRAM,
     "Invalid_Number_Detected": TerminationCondition.INVALID_PROGRAM,
 }
+# What CasADi makes of the statuses of all plugins.
 _UNIFIED = {
     "SOLVER_RET_SUCCESS": TerminationCondition.CONVERGED,
-    "SOLVER_RET_LIMITED": TerminationCondition.ITERATION_LIMIT,
+    "SOLVER_RET_LIMITED": TerminationCondition.LIMIT,
     "SOLVER_RET_INFEASIBLE": TerminationCondition.INFEASIBLE,
     "SOLVER_RET_NAN": TerminationCondition.NUMERICAL_FAILURE,
 }
@@ -194,11 +195,11 @@ class IpoptSession:
             s, _ = self._evaluator.cones(x, instance.parameters)
             z = self._smooth.cone_multipliers(lam_g, s)
         message = str(stats.get("return_status", ""))
-        termination = (
-            _TERMINATION.get(message)
-            or _UNIFIED.get(str(stats.get("unified_return_status")))
-            or TerminationCondition.said(message)
-        )
+        if self._plugin == "ipopt":
+            termination = _TERMINATION.get(message, TerminationCondition.ERROR)
+        else:
+            unified = str(stats.get("unified_return_status"))
+            termination = _UNIFIED.get(unified, TerminationCondition.ERROR)
         if message == "Invalid_Option":
             raise SolverOptionError(f"{self._plugin} does not accept the options {self._options}")
         return Solution(

@@ -1,35 +1,98 @@
-"""Quadratic programs through qpsolvers: OSQP, Clarabel, PIQP, and whatever else is installed."""
+"""Quadratic programs through qpsolvers: PIQP, HiGHS, SCS, and whatever else is installed."""
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from solvers.assembly import Evaluator
+from solvers.backends.clarabel import Clarabel
+from solvers.backends.osqp import OSQP
 from solvers.certify import certified
-from solvers.clarabel import solve_clarabel
 from solvers.errors import SolverOptionError
-from solvers.matrices import MatrixMaker, proves_infeasible, standard_form
+from solvers.matrices import MatrixMaker, standard_form
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
+from solvers.solve import BackEnd, Session
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind
 
 __all__ = ["QP"]
 
 _PREFERRED = ("clarabel", "piqp", "osqp", "highs", "scs")
-_DEFAULTS: dict[str, dict[str, Any]] = {
-    "osqp": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 50_000, "polishing": True},
-    "scs": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 50_000},
-    "piqp": {"eps_abs": 1e-8, "eps_rel": 1e-9, "check_duality_gap": True},
-    "clarabel": {},
+# These have back ends of their own.
+_DIRECT: dict[str, BackEnd] = {"clarabel": Clarabel(), "osqp": OSQP()}
+
+
+@dataclass(frozen=True)
+class _Report:
+    """Why a solver stopped: its own code and words, and its iterations."""
+
+    status: int | str | None
+    words: str
+    iterations: int | None
+
+
+def _report(found: Any) -> _Report:
+    """The report of a solver of which qpsolvers passes on nothing else."""
+    words = "solved" if found.found else "not solved; qpsolvers passes on no reason"
+    return _Report(None, words, None)
+
+
+def _report_of_piqp(found: Any) -> _Report:
+    info = found.extras["info"]
+    return _Report(info.status.name, info.status.name, int(info.iter))
+
+
+def _report_of_scs(found: Any) -> _Report:
+    info = found.extras
+    return _Report(info["status_val"], info["status"], info["iter"])
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Our defaults for a solver, how to read its report, and what its codes mean.
+
+    Codes of an optimum are missing: qpsolvers says whether one was found.
+    """
+
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    report: Callable[[Any], _Report] = _report
+    statuses: Mapping[int | str | None, TerminationCondition] = field(default_factory=dict)
+
+
+_KNOWN = {
+    "piqp": _Known(
+        {"eps_abs": 1e-8, "eps_rel": 1e-9, "check_duality_gap": True},
+        _report_of_piqp,
+        {
+            "PIQP_MAX_ITER_REACHED": TerminationCondition.ITERATION_LIMIT,
+            "PIQP_PRIMAL_INFEASIBLE": TerminationCondition.INFEASIBLE,
+            "PIQP_DUAL_INFEASIBLE": TerminationCondition.UNBOUNDED,
+            "PIQP_NUMERICS": TerminationCondition.NUMERICAL_FAILURE,
+        },
+    ),
+    "scs": _Known(
+        {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 50_000},
+        _report_of_scs,
+        {
+            2: TerminationCondition.ACCEPTABLE,  # inaccurate: at a limit, but nearly there
+            -1: TerminationCondition.UNBOUNDED,
+            -2: TerminationCondition.INFEASIBLE,
+            -3: TerminationCondition.NUMERICAL_FAILURE,  # indeterminate
+            -5: TerminationCondition.INTERRUPTED,
+            -6: TerminationCondition.UNBOUNDED,  # inaccurate
+            -7: TerminationCondition.INFEASIBLE,  # inaccurate
+        },
+    ),
     # By default 1e-7, which moves the optimum; with none it calls points optimal that are not.
-    "highs": {"qp_regularization_value": 1e-9},
+    "highs": _Known({"qp_regularization_value": 1e-9}),
 }
 
 
@@ -47,9 +110,11 @@ class QP:
         yield from (name for name in _PREFERRED if name in known)
         yield from (name for name in known if name not in _PREFERRED)
 
-    def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> QPSession:
-        """Fold the program into matrices."""
-        return QPSession(program, solver, options, verbose)
+    def prepare(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> Session:
+        """Fold the program into matrices, here or in the solver's own back end."""
+        if solver in _DIRECT:
+            return _DIRECT[solver].prepare(program, solver, options, verbose)
+        return QPSession(program, solver, dict(options), verbose)
 
 
 class QPSession:
@@ -59,15 +124,21 @@ class QPSession:
         self._evaluator = Evaluator(program)
         self._maker = MatrixMaker(self._evaluator)
         self._solver = solver
-        self._options = _DEFAULTS.get(solver, {}) | _checked(solver, options)
+        self._known = _KNOWN.get(solver, _Known())
+        self._options = dict(self._known.defaults) | _checked(solver, options)
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve; the primal start reaches OSQP and SCS. qpsolvers hands on no dual start."""
+        """Solve; of the start, qpsolvers hands on the values alone, and SCS alone of these uses them.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C, where the solver takes it for itself.
+        """
         import qpsolvers
 
-        matrices = self._maker.at(instance)
-        form = standard_form(matrices)
+        form = standard_form(self._maker.at(instance))
         problem = qpsolvers.Problem(
             P=_matrix(form.p),
             q=form.q,
@@ -82,46 +153,47 @@ class QPSession:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the status says it
-                if self._solver == "clarabel":
-                    found = solve_clarabel(problem, self._verbose, self._options)
-                else:
-                    found = qpsolvers.solve_problem(
-                        problem,
-                        self._solver,
-                        initvals=None if start is None else start.x,
-                        verbose=self._verbose,
-                        **self._options,
-                    )
+                found = qpsolvers.solve_problem(
+                    problem,
+                    self._solver,
+                    initvals=None if start is None else start.x,
+                    verbose=self._verbose,
+                    **self._options,
+                )
         except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
             raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
-            found = qpsolvers.Solution(problem, found=False, extras={"status": f"failed: {error}"})
+            found, report = qpsolvers.Solution(problem, found=False), _Report(None, str(error), None)
+        else:
+            report = self._known.report(found)
         seconds = time.perf_counter() - began
-        message, iterations = _describe(found.extras)
-        termination = TerminationCondition.CONVERGED if found.found else TerminationCondition.said(message)
-        y, z, z_box = (_array(v) for v in _multipliers(found, form.h.size, form.b.size))
-        lam_x, lam_g = form.multipliers(_sized(y, form.b), _sized(z, form.h), _sized(z_box, form.q))
-        status = SolutionStatus.NONE
-        if termination is TerminationCondition.INFEASIBLE:
-            proven = proves_infeasible(matrices, lam_x, lam_g, np.zeros(0))
-            status = SolutionStatus.PROVEN_INFEASIBLE if proven else SolutionStatus.LOCALLY_INFEASIBLE
-        solution = Solution(
-            program=self._evaluator.program,
-            evaluator=self._evaluator,
-            instance=instance,
-            x=_sized(_array(found.x), form.q),
-            lam_x=lam_x,
-            lam_g=lam_g,
-            z=np.zeros(0),
-            termination=termination,
-            status=status,
-            message=message or ("solved" if found.found else "not solved; qpsolvers passes on no reason"),
-            solver=self._solver,
-            iterations=iterations,
-            seconds=seconds,
+        termination = (
+            TerminationCondition.CONVERGED
+            if found.found
+            else self._known.statuses.get(report.status, TerminationCondition.ERROR)
         )
-        claimed = termination in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE)
-        return certified(solution) if claimed else solution
+        if termination is TerminationCondition.INTERRUPTED:
+            raise KeyboardInterrupt
+        lam_x, lam_g = form.multipliers(
+            _sized(found.y, form.b), _sized(found.z, form.h), _sized(found.z_box, form.q)
+        )
+        return certified(
+            Solution(
+                program=self._evaluator.program,
+                evaluator=self._evaluator,
+                instance=instance,
+                x=_sized(found.x, form.q),
+                lam_x=lam_x,
+                lam_g=lam_g,
+                z=np.zeros(0),
+                termination=termination,
+                status=SolutionStatus.NONE,
+                message=report.words,
+                solver=self._solver,
+                iterations=report.iterations,
+                seconds=seconds,
+            )
+        )
 
 
 def _checked(solver: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -148,40 +220,13 @@ def _checked(solver: str, options: dict[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _multipliers(found: Any, inequalities: int, equalities: int) -> tuple[Any, Any, Any]:
-    """Multipliers of a solution, or the certificate of infeasibility that OSQP keeps apart."""
-    certificate = found.extras.get("prim_inf_cert")
-    if not found.found and certificate is not None:
-        stacked = np.asarray(certificate, dtype=float)
-        g, a = stacked[:inequalities], stacked[inequalities : inequalities + equalities]
-        return a, g, stacked[inequalities + equalities :]
-    return found.y, found.z, found.z_box
-
-
-def _describe(extras: dict[str, Any]) -> tuple[str, int | None]:
-    """Status text and number of iterations, wherever qpsolvers keeps them, if it does."""
-    info = extras.get("info", extras)
-    status = _entry(info, "status")
-    if status is None:
-        status = extras.get("status", "")
-    iterations = _entry(info, "iter")
-    return str(status).rpartition(".")[2], None if iterations is None else int(iterations)
-
-
-def _entry(info: Any, name: str) -> Any:
-    return info.get(name) if isinstance(info, dict) else getattr(info, name, None)
-
-
 def _matrix(matrix: sp.csc_array) -> sp.csc_matrix:
     """The class and the integers that the solvers behind qpsolvers take."""
     indices, starts = (i.astype(np.int32) for i in (matrix.indices, matrix.indptr))
     return sp.csc_matrix((matrix.data, indices, starts), shape=matrix.shape)
 
 
-def _array(values: Any) -> Array:
-    return np.zeros(0) if values is None else np.asarray(values, dtype=float).ravel()
-
-
-def _sized(values: Array, like: Array) -> Array:
+def _sized(values: Any, like: Array) -> Array:
     """Values, or zeros where a solver that failed returned none."""
-    return values if values.size == like.size else np.zeros_like(like)
+    array = np.zeros(0) if values is None else np.asarray(values, dtype=float).ravel()
+    return array if array.size == like.size else np.zeros_like(like)
