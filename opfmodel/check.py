@@ -9,19 +9,22 @@ verifies what needs no knowledge of them, and says what it left out.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain, compress
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
+import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
+from opfmodel.errors import ProfileError, ResultError
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
-from opfmodel.network.costs import PiecewiseLinear, Polynomial
+from opfmodel.network.costs import PiecewiseLinear
 from opfmodel.network.network import Network
 
 if TYPE_CHECKING:
@@ -30,8 +33,10 @@ if TYPE_CHECKING:
 __all__ = ["Report", "Violation", "check", "economic_cost", "losses"]
 
 Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complexfloating]
 Series = Mapping[Any, npt.ArrayLike]
-Flows = dict[str, tuple[Any, Any]]
+Bounds = tuple[Array, Array]
+Flows = tuple[Complex, Complex]  # power into the from and the to end of every branch, p.u.
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,8 @@ def check(
     data
         Trajectories as in ``plan.data`` or ``run.data``, in physical units, over ``time``: for AC
         ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
-        attribute ``formulation`` names the physics, AC by default.
+        attribute ``formulation`` names the physics, AC by default. Components may be in any order;
+        those that they lack count as out of service.
     series
         Time series: :class:`opfmodel.Profiles`, or values by ``"component.field"``; other fields are
         constant.
@@ -142,40 +148,138 @@ def check(
     Returns
     -------
     Report
+
+    Raises
+    ------
+    ProfileError
+        A time series does not cover the stages.
+    ResultError
+        The data have two components of one kind and name.
     """
-    return _Checker(network, data, Profiles.of(series), first).run(previous_pg)
+    return _Checker(network, data, series, first).run(previous_pg)
 
 
 def economic_cost(network: Network, data: xr.Dataset, series: Series | None = None, first: int = 0) -> Array:
     """Operating cost of the generators in each stage, $/h, from ``pg`` and the declared costs."""
-    return _Checker(network, data, Profiles.of(series), first).cost_rate()
+    return _Checker(network, data, series, first).cost_rate()
 
 
 def losses(network: Network, data: xr.Dataset) -> Array:
     """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
-    flows = _ac_flows(_Checker(network, data, Profiles(), 0))
-    total = np.zeros(data.sizes["time"])
-    for at_from, at_to in flows.values():
-        total += at_from.real + at_to.real
-    return total * network.base_mva
+    at_from, at_to = _ac_flows(_Checker(network, data, None, 0))
+    return np.asarray((at_from.real + at_to.real).sum(axis=0) * network.base_mva)
+
+
+class _Trajectories:
+    """What changes over the stages, the data and the time series, as arrays ``(items, stages)``."""
+
+    def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
+        self.data = data
+        self.times = np.asarray(data["time"].values, dtype=float)
+        self.window = slice(first, first + len(self.times))
+        self.series = Profiles.of(series)
+        self.changing = {key.field for key in self.series}
+        self.positions: dict[str, dict[str, int]] = {}
+
+    def has(self, *quantities: str) -> bool:
+        """Whether the data have all of some quantities."""
+        return all(quantity in self.data for quantity in quantities)
+
+    def position(self, kind: str) -> dict[str, int]:
+        """Position in the data of each component of a kind."""
+        if kind not in self.positions:
+            names = self.data[kind].values.tolist() if kind in self.data.coords else []
+            self.positions[kind] = {name: i for i, name in enumerate(names)}
+            if len(self.positions[kind]) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise ResultError(f"data: {kind}: {twice!r} occurs more than once; names must be unique")
+        return self.positions[kind]
+
+    def of(self, quantity: str, names: list[str]) -> Array:
+        """A quantity of some components, in its physical unit."""
+        if not names:  # the data need not have what nothing uses
+            return np.zeros((0, len(self.times)))
+        array = self.data[quantity].variable
+        kind = next(str(d) for d in array.dims if d != "time")
+        position = self.position(kind)
+        values = np.asarray(array.transpose(kind, "time").values, dtype=float)
+        return values[[position[name] for name in names]]
+
+    def declared(self, field: str, names: list[str], constants: Array) -> Array:
+        """A field of some components: their ``constants``, ``(items, 1)``, or the time series they have."""
+        first, end = self.window.start, self.window.stop
+        keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}
+        changing = {i: self.series[key] for i, key in keys.items() if key in self.series}
+        values = np.repeat(constants, end - first, axis=1) if changing else constants
+        for i, whole in changing.items():
+            if len(whole) < end:
+                raise ProfileError(
+                    f"profile {str(keys[i])!r}: has {len(whole)} values; {end} are needed", keys[i]
+                )
+            values[i] = whole[first:end]
+        return values
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Components of one kind; a declared field is ``(items, 1)``, with time series ``(items, stages)``."""
+
+    names: list[str]
+    members: list[Any]
+    trajectories: _Trajectories
+
+    def where(self, mask: npt.ArrayLike) -> _Table:
+        """The components for which the mask is true."""
+        chosen = np.asarray(mask, dtype=bool).tolist()
+        return replace(self, names=[*compress(self.names, chosen)], members=[*compress(self.members, chosen)])
+
+    def values(self, quantity: str) -> Array:
+        """A quantity of every component, in its physical unit."""
+        return self.trajectories.of(quantity, self.names)
+
+    def each(self, field: str) -> list[Any]:
+        """A field of every component, as declared."""
+        return list(map(attrgetter(field), self.members))
+
+    def constant(self, field: str) -> Array:
+        """A number of every component; None stands for no limit."""
+        values = [math.inf if value is None else value for value in self.each(field)]
+        return np.array(values, dtype=float)[:, None]
+
+    def span(self, field: str) -> Bounds:
+        """Minimum and maximum of every component; one number ``a`` stands for ``(-a, a)``."""
+        pairs = [pair if isinstance(pair, tuple | list) else (-pair, pair) for pair in self.each(field)]
+        ends = np.fromiter(chain.from_iterable(pairs), dtype=float).reshape(-1, 2)
+        return ends[:, :1], ends[:, 1:]
+
+    def number(self, field: str) -> Array:
+        """A number of every component, or its time series."""
+        return self.trajectories.declared(field, self.names, self.constant(field))
+
+    def bounds(self, field: str) -> Bounds:
+        """Minimum and maximum of every component, or their time series."""
+        low, high = self.span(field)
+        declared = self.trajectories.declared
+        return declared(f"{field}_min", self.names, low), declared(f"{field}_max", self.names, high)
 
 
 class _Checker:
-    """One pass over the components of a network and the stages of a trajectory."""
+    """The constraints of every kind of component, evaluated in arrays ``(items, stages)``."""
 
-    def __init__(self, network: Network, data: xr.Dataset, series: Profiles, first: int) -> None:
-        self.network = network
-        self.base = network.base_mva
-        self.scale = network.scale_mva
-        self.data = data
-        self.series = series
-        self.first = first
-        self.times = np.asarray(data["time"].values, dtype=float)
+    def __init__(self, network: Network, data: xr.Dataset, series: Series | None, first: int) -> None:
+        self.network, self.base, self.scale = network, network.base_mva, network.scale_mva
+        self.trajectories = _Trajectories(data, series, first)
+        self.has = self.trajectories.has
         self.step = float(data.attrs.get("step_hours", 1.0))
-        self.buses = self.of(Bus, "bus")
-        self.reactive = not {"qg", "qs", "vm", "w"}.isdisjoint(data)
         self.formulation = str(data.attrs.get("formulation", "ac"))
-        self.others = self.other_kinds()
+        self.voltages_known = self.has("vm") or self.has("w")
+        self.angles_known = self.has("va") or self.has("wr", "wi")
+        self.reactive = self.voltages_known or self.has("qg") or self.has("qs")
+        self.buses, self.branches = self.reported(Bus), self.reported(Branch)
+        self.generators, self.storages = self.reported(Generator), self.reported(Storage)
+        self.position = {bus: i for i, bus in enumerate(self.buses.names)}
+        kinds = dict.fromkeys(type(c) for c in network.of(Component).values() if c.in_service)
+        self.others = [kind for kind in kinds if not issubclass(kind, BUILT_IN)]  # of other packages
         self.report = Report()
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
@@ -184,353 +288,301 @@ class _Checker:
         self.check_storages()
         for kind in self.others:
             self.leave_out(f"limits and cost of the {kind.plural}")
-        self.check_network(_FLOWS.get(self.formulation, _reported_flows)(self))
+        flows = _FLOWS.get(self.formulation, _reported_flows)(self)
+        if self.voltages_known:
+            magnitude = np.sqrt(self.voltage_squared(self.buses.names))
+            self.inside("voltage", self.buses, magnitude, self.buses.bounds("vm"), "p.u.")
+        if flows is not None:
+            self.check_branches(flows)
+        if self.angles_known:
+            limited = self.branches.where(self.limited_angles())
+            angles = self.angles()[self.limited_angles()]
+            self.inside("angle difference", limited, angles, limited.span("angle"), "deg")
+        self.check_balance(flows)
         self.report.cost = float(self.cost_rate().sum() * self.step)
         return self.report
 
-    # Access ------------------------------------------------------------------------------
+    def table(self, members: Mapping[str, Component]) -> _Table:
+        """A table of components by name."""
+        return _Table(list(members), [member.resolved() for member in members.values()], self.trajectories)
 
-    def of(self, kind: type[Any], dimension: str) -> dict[str, Any]:
-        """Components of a class that the data has."""
-        present = set(self.data[dimension].values) if dimension in self.data.coords else set()
-        return {n: c for n, c in self.network.of(kind).items() if n in present}
+    def reported(self, kind: type[Component]) -> _Table:
+        """Components of a class that the data have, in the order of their declaration."""
+        present = self.trajectories.position(kind.kind)
+        return self.table({n: c for n, c in self.network.of(kind).items() if n in present})
 
-    def value(self, quantity: str, component: str) -> Array:
-        """Trajectory of a quantity of a component, in its physical unit."""
-        array = self.data[quantity]
-        dimension = next(d for d in array.dims if d != "time")
-        return np.asarray(array.sel({dimension: component}).values, dtype=float)
-
-    def declared(self, component: str, key: str, constant: float | None) -> Array:
-        """A field of a component over the stages: its time series or its constant."""
-        values = self.series.get(SeriesKey(component, key))
-        if values is not None:
-            return np.asarray(values, dtype=float)[self.first : self.first + len(self.times)]
-        return np.full(len(self.times), math.inf if constant is None else constant)
-
-    def note(self, family: str, component: str, excess: Array, unit: str) -> None:
-        """Keep the largest violation of a family, in its physical unit."""
-        values = np.where(np.isnan(excess), np.inf, excess)
-        worst = int(np.argmax(values)) if values.size else 0
-        physical = max(float(values[worst]), 0.0) if values.size else 0.0
-        known = self.report.violations.get(family)
-        if known is None or physical > known.physical:
-            power = unit not in ("p.u.", "deg")
-            value = math.radians(physical) if unit == "deg" else physical / (self.base if power else 1.0)
-            relative = physical / self.scale if power else value
-            time = float(self.times[worst])
-            self.report.violations[family] = Violation(
-                family, value, component, time, physical, unit, relative
-            )
-
-    def inside(self, family: str, component: str, values: Array, low: Array, high: Array, unit: str) -> None:
-        """Check ``low <= values <= high``."""
-        self.note(family, component, np.maximum(low - values, values - high), unit)
+    def at_work(self, kind: type[Load | Shunt]) -> _Table:
+        """Components of a class that are in service at buses that the data have."""
+        members = self.network.of(kind).items()
+        return self.table({n: c for n, c in members if c.in_service and c.bus in self.position})
 
     def leave_out(self, what: str) -> None:
         """Say that something was not verified."""
         if what not in self.report.unchecked:
             self.report.unchecked = (*self.report.unchecked, what)
 
-    def other_kinds(self) -> list[type[Component]]:
-        """Kinds of components in service that belong to other packages."""
-        at_work = [self.network[name] for name in self.network if self.network[name].in_service]
-        return [k for k in dict.fromkeys(type(c) for c in at_work) if not issubclass(k, BUILT_IN)]
+    def note(self, family: str, names: list[str], excess: Array, unit: str) -> None:
+        """Keep the largest violation of a family; of equals the first by component, then by stage.
 
-    def bounds(self, component: str, key: str, pair: tuple[float, float]) -> tuple[Array, Array]:
-        """Minimum and maximum of a span field over the stages."""
-        return self.declared(component, f"{key}_min", pair[0]), self.declared(
-            component, f"{key}_max", pair[1]
-        )
+        Where nothing is violated, it is the first component at the stage where it comes closest.
 
-    # Network -----------------------------------------------------------------------------
+        Parameters
+        ----------
+        excess
+            ``(items, stages)`` or ``(items, ends, stages)``, in ``unit``; a missing number is infinite.
+        """
+        if not names:
+            return
+        rows = np.where(np.isnan(excess), np.inf, excess).reshape(-1, excess.shape[-1])
+        ends = len(rows) // len(names)
+        row, stage = divmod(int(rows.argmax()), rows.shape[1])
+        if rows[row, stage] <= 0:
+            row, stage = 0, int(rows[0].argmax())
+        physical = max(0.0, float(rows[row, stage]))
+        power = unit not in ("p.u.", "deg")
+        value = math.radians(physical) if unit == "deg" else physical / (self.base if power else 1.0)
+        relative = physical / self.scale if power else value
+        component, time = names[row // ends], float(self.trajectories.times[stage])
+        self.report.violations[family] = Violation(family, value, component, time, physical, unit, relative)
 
-    def voltage_squared(self, bus: str) -> Array:
-        """Squared voltage magnitude of a bus, p.u.; 1 where the formulation has none."""
-        if "w" in self.data:
-            return self.value("w", bus)
-        return self.value("vm", bus) ** 2 if "vm" in self.data else np.ones(len(self.times))
-
-    def check_network(self, flows: Flows) -> None:
-        """Voltages, flows as reported, ratings, angle differences and the balance of every bus."""
-        for name, bus in self.buses.items():
-            low, high = self.bounds(name, "vm", bus.vm)
-            if self.reactive and {"vm", "w"} & set(self.data):
-                self.inside("voltage", name, np.sqrt(self.voltage_squared(name)), low, high, "p.u.")
-        for name, (at_from, at_to) in flows.items():
-            branch = self.network[name]
-            assert isinstance(branch, Branch)
-            for end, p, q in ((at_from, "pf", "qf"), (at_to, "pt", "qt")):
-                for reported, power in ((p, end.real), (q, end.imag)):
-                    if reported in self.data:
-                        difference = np.abs(self.value(reported, name) - self.base * power)
-                        self.note("reported flow", name, difference, "MVA")
-                rating = self.declared(name, "rating", branch.rating)
-                self.note("branch rating", name, self.base * np.abs(end) - rating, "MVA")
-            least, most = branch.angle
-            if (least > -360 or most < 360) and self.angles_known:
-                bounds = (np.full(len(self.times), least), np.full(len(self.times), most))
-                self.inside("angle difference", name, self.angle(name, branch), *bounds, "deg")
-        missing = self.unreported()
-        for plural in missing:
-            self.leave_out(f"balance of the buses: the results do not say what the {plural} draw")
-        if not missing:
-            self.check_balance(flows)
-
-    @property
-    def angles_known(self) -> bool:
-        """Whether the data say what the angle across a branch is."""
-        return "va" in self.data or {"wr", "wi"} <= set(self.data)
-
-    def unreported(self) -> list[str]:
-        """What draws power that the data do not have."""
-        missing = [k.plural for k in self.others if f"{k.kind}_p" not in self.data]
-        if self.formulation not in _FLOWS and not self.flows_reported:
-            missing.append("branches")
-        return missing
-
-    @property
-    def flows_reported(self) -> bool:
-        """Whether the data have the power at both ends of the branches."""
-        active = {"pf", "pt"} <= set(self.data)
-        return active and (not self.reactive or {"qf", "qt"} <= set(self.data))
-
-    def angle(self, name: str, branch: Branch) -> Array:
-        """Angle across a branch, degrees."""
-        if "va" in self.data:
-            return self.value("va", branch.from_bus) - self.value("va", branch.to_bus)
-        return np.rad2deg(np.arctan2(self.value("wi", name), self.value("wr", name)))
-
-    def injections(self) -> dict[str, Any]:
-        """Complex power that devices and shunts put into each bus, p.u."""
-        total = {bus: np.zeros(len(self.times), dtype=complex) for bus in self.buses}
-        for name, generator in self.of(Generator, "generator").items():
-            total[generator.bus] += self.power("pg", "qg", name)
-        for name, storage in self.of(Storage, "storage").items():
-            total[storage.bus] -= self.power("ps", "qs", name)
-        for name, load in self.network.of(Load).items():
-            if load.in_service and load.bus in total:
-                p, q = self.declared(name, "p", load.p), self.declared(name, "q", load.q)
-                total[load.bus] -= (p + 1j * q) / self.base - self.lacking("p_unserved", "q_unserved", name)
-        for kind in self.others:
-            for bus in total:
-                reactive = f"{kind.kind}_q" if f"{kind.kind}_q" in self.data else None
-                total[bus] += self.power(f"{kind.kind}_p", reactive, bus)
-        for shunt in self.network.of(Shunt).values():
-            if shunt.in_service and shunt.bus in total:
-                total[shunt.bus] -= complex(shunt.g, -shunt.b) / self.base * self.voltage_squared(shunt.bus)
-        for bus in total:
-            total[bus] += self.lacking("p_shortage", "q_shortage", bus)
-            total[bus] -= self.lacking("p_surplus", "q_surplus", bus)
-        return total
-
-    def lacking(self, active: str, reactive: str, name: str) -> Any:
-        """What an elastic plan or a plant reports to lack, p.u.; a violation in itself."""
-        power = np.zeros(len(self.times), dtype=complex)
-        for quantity, factor in ((active, 1.0), (reactive, 1j)):
-            if quantity in self.data:
-                power += factor * self.value(quantity, name) / self.base
-                unit = "MW" if factor == 1.0 else "MVAr"
-                self.note(quantity.replace("_", " "), name, np.abs(self.value(quantity, name)), unit)
-        return power
-
-    def power(self, active: str, reactive: str | None, name: str) -> Any:
-        """Complex power of a device, p.u."""
-        q = self.value(reactive, name) if self.reactive and reactive is not None else 0.0
-        return (self.value(active, name) + 1j * q) / self.base
-
-    def check_balance(self, flows: Flows) -> None:
-        """Power is balanced at every bus, or in every island where there is no network."""
-        total = self.injections()
-        for name, (at_from, at_to) in flows.items():
-            branch = self.network[name]
-            assert isinstance(branch, Branch)
-            total[branch.from_bus] -= at_from
-            total[branch.to_bus] -= at_to
-        if self.data.attrs.get("formulation") == "copperplate":
-            total = {members[0]: sum(total[bus] for bus in members) for members in self.islands()}
-        for bus, power in total.items():
-            self.note("active balance", bus, self.base * np.abs(power.real), "MW")
-            if self.reactive:
-                self.note("reactive balance", bus, self.base * np.abs(power.imag), "MVAr")
-
-    def islands(self) -> list[list[str]]:
-        """Buses that branches connect, by following branches from bus to bus."""
-        island = {bus: {bus} for bus in self.buses}
-        for branch in self.network.of(Branch).values():
-            if branch.in_service and branch.from_bus in island and branch.to_bus in island:
-                joined = island[branch.from_bus] | island[branch.to_bus]
-                island.update(dict.fromkeys(joined, joined))
-        return [sorted(members) for members in {id(m): m for m in island.values()}.values()]
+    def inside(self, family: str, items: _Table, values: Array, bounds: Bounds, unit: str) -> None:
+        """Check ``low <= values <= high``."""
+        low, high = bounds
+        self.note(family, items.names, np.maximum(low - values, values - high), unit)
 
     # Devices -----------------------------------------------------------------------------
 
     def check_generators(self, previous_pg: Mapping[str, float] | None) -> None:
         """Active and reactive limits and ramps."""
-        for name, generator in self.of(Generator, "generator").items():
-            pg = self.value("pg", name)
-            self.inside("generator p", name, pg, *self.bounds(name, "p", generator.p), "MW")
-            if self.reactive:
-                bounds = self.bounds(name, "q", generator.q)
-                self.inside("generator q", name, self.value("qg", name), *bounds, "MVAr")
-            ramp = self.declared(name, "ramp", generator.ramp)
-            if np.isfinite(ramp).any():
-                before = math.nan if previous_pg is None else previous_pg[name]
-                change = np.abs(np.diff(pg, prepend=before))
-                change[np.isnan(change)] = 0.0
-                self.note("ramp", name, change - ramp * self.step, "MW")
+        units = self.generators
+        self.inside("generator p", units, units.values("pg"), units.bounds("p"), "MW")
+        if self.reactive:
+            self.inside("generator q", units, units.values("qg"), units.bounds("q"), "MVAr")
+        ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
+        before = [math.nan if previous_pg is None else previous_pg[name] for name in ramped.names]
+        change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
+        change[np.isnan(change)] = 0.0  # nothing is known before the first stage
+        self.note("ramp", ramped.names, change - ramped.number("ramp") * self.step, "MW")
 
     def check_storages(self) -> None:
         """Power, energy and apparent-power limits, and the energy balance of each storage."""
-        for name, declared in self.of(Storage, "storage").items():
-            storage = declared.resolved()
-            ps = self.value("ps", name)
-            qs: Array = self.value("qs", name) if self.reactive else np.zeros(len(ps))
-            e, e_next = self.value("e", name), self.value("e_next", name)
-            for key, values, pair, unit in (
-                ("power", ps, storage.power, "MW"),
-                ("q", qs, storage.q, "MVAr"),
-            ):
-                ends = pair if isinstance(pair, tuple) else (-pair, pair)
-                self.inside(f"storage {key}", name, values, *self.bounds(name, key, ends), unit)
-            low = self.declared(name, "energy_min", storage.energy_min)
-            high = self.declared(name, "energy", storage.energy)
-            self.inside("storage energy", name, e_next, low, high, "MWh")
-            rating = self.declared(name, "rating", storage.rating)
-            self.note("storage rating", name, np.hypot(ps, qs) - rating, "MVA")
-            self.note("energy continuity", name, np.abs(e[1:] - e_next[:-1]), "MWh")
-            stored = (e_next - (1 - storage.standing_loss * self.step) * e) / self.step
-            self._check_efficiency(name, storage, ps, stored)
-
-    def _check_efficiency(self, name: str, storage: Storage, ps: Array, stored: Array) -> None:
-        gain, drain = storage.charge_efficiency, 1 / storage.discharge_efficiency
-        if gain == drain:  # lossless
-            self.note("storage dynamics", name, np.abs(stored - ps), "MW")
-            return
+        units = self.storages
+        ps, e, e_next = units.values("ps"), units.values("e"), units.values("e_next")
+        qs = units.values("qs") if self.reactive else np.zeros_like(ps)
+        self.inside("storage power", units, ps, units.bounds("power"), "MW")
+        self.inside("storage q", units, qs, units.bounds("q"), "MVAr")
+        limits = units.number("energy_min"), units.number("energy")
+        self.inside("storage energy", units, e_next, limits, "MWh")
+        self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
+        gap = np.zeros_like(e)  # after the last stage there is none
+        gap[:, :-1] = np.abs(e[:, 1:] - e_next[:, :-1])
+        self.note("energy continuity", units.names, gap, "MWh")
+        stored = (e_next - (1 - units.constant("standing_loss") * self.step) * e) / self.step
         # of all splits into charging and discharging the one with nothing at once stores most
+        gain, drain = units.constant("charge_efficiency"), 1 / units.constant("discharge_efficiency")
         most = np.where(ps >= 0, gain * ps, drain * ps)
-        self.note("storage dynamics", name, stored - most, "MW")
-        wasted = (most - stored) / (drain - gain)
-        self.report.simultaneous = max(self.report.simultaneous, float(wasted.max()) / self.base)
+        lossy = gain < drain
+        excess = np.where(lossy, stored - most, np.abs(stored - ps))
+        self.note("storage dynamics", units.names, excess, "MW")
+        wasted = np.divide(most - stored, drain - gain, out=np.zeros_like(ps), where=lossy).max(axis=1)
+        self.report.simultaneous = float(np.fmax.reduce(wasted, initial=0.0)) / self.base
 
     def cost_rate(self) -> Array:
         """Operating cost of the generators in each stage, $/h."""
-        rate = np.zeros(len(self.times))
-        for name, generator in self.of(Generator, "generator").items():
-            pg = self.value("pg", name)
-            cost = generator.cost
-            if isinstance(cost, PiecewiseLinear):
-                rate += np.max([slope * pg + offset for slope, offset in cost.segments], axis=0)
-            else:
-                assert isinstance(cost, Polynomial)
-                c2, c1, c0 = (self.declared(name, key, getattr(cost, key)) for key in ("c2", "c1", "c0"))
-                rate += c2 * pg**2 + c1 * pg + c0
-        return rate
+        piecewise = [isinstance(cost, PiecewiseLinear) for cost in self.generators.each("cost")]
+        smooth, linear = self.generators.where([not p for p in piecewise]), self.generators.where(piecewise)
+        costs, pg = replace(smooth, members=smooth.each("cost")), smooth.values("pg")
+        rate = (costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")).sum(axis=0)
+        for cost, dispatch in zip(linear.each("cost"), linear.values("pg"), strict=True):
+            slope, offset = np.array(cost.segments).T[:, :, None]
+            rate += (slope * dispatch + offset).max(axis=0)  # the largest of the lines
+        return np.asarray(rate)
+
+    # Network -----------------------------------------------------------------------------
+
+    def voltage_squared(self, buses: list[str]) -> Array:
+        """Squared voltage magnitudes, p.u.; 1 where the formulation has none."""
+        if not self.voltages_known:
+            return np.ones((len(buses), 1))
+        of = self.trajectories.of
+        return of("w", buses) if self.has("w") else of("vm", buses) ** 2
+
+    def ends(self, quantity: str) -> tuple[Array, Array]:
+        """A quantity of the buses at the from and the to ends of the branches."""
+        from_bus, to_bus = self.branches.each("from_bus"), self.branches.each("to_bus")
+        return self.trajectories.of(quantity, from_bus), self.trajectories.of(quantity, to_bus)
+
+    def angles(self) -> Array:
+        """Angles across the branches, degrees."""
+        if self.has("va"):
+            return np.subtract(*self.ends("va"))
+        return np.rad2deg(np.arctan2(self.branches.values("wi"), self.branches.values("wr")))
+
+    def limited_angles(self) -> npt.NDArray[np.bool_]:
+        """Which branches have a limit on the angle across them."""
+        least, most = self.branches.span("angle")
+        return np.asarray((least > -360) | (most < 360))[:, 0]
+
+    def check_branches(self, flows: Flows) -> None:
+        """Flows as reported, and ratings at both ends."""
+        names, (at_from, at_to) = self.branches.names, flows
+        parts = {"pf": at_from.real, "qf": at_from.imag, "pt": at_to.real, "qt": at_to.imag}
+        wrong = [np.abs(self.branches.values(q) - self.base * p) for q, p in parts.items() if self.has(q)]
+        if wrong:
+            self.note("reported flow", names, np.stack(wrong, axis=1), "MVA")
+        apparent = self.base * np.abs(np.stack(flows, axis=1))
+        self.note("branch rating", names, apparent - self.branches.number("rating")[:, None], "MVA")
+
+    def check_balance(self, flows: Flows | None) -> None:
+        """Power is balanced at every bus, or in every island where there is no network."""
+        missing = [kind.plural for kind in self.others if not self.has(f"{kind.kind}_p")]
+        if flows is None and self.formulation != "copperplate":
+            missing.append("branches")
+        for plural in missing:
+            self.leave_out(f"balance of the buses: the results do not say what the {plural} draw")
+        if missing:
+            return
+        names, total = self.buses.names, self.injections()
+        if flows is not None:
+            buses = chain.from_iterable(map(attrgetter("from_bus", "to_bus"), self.branches.members))
+            drawn = np.stack(flows, axis=1).reshape(-1, total.shape[1])
+            np.subtract.at(total, [self.position[bus] for bus in buses], drawn)
+        else:
+            islands = self.islands()
+            names = [island[0] for island in islands]
+            total = np.array(
+                [total[[self.position[bus] for bus in island]].sum(axis=0) for island in islands]
+            )
+        self.note("active balance", names, self.base * np.abs(total.real), "MW")
+        if self.reactive:
+            self.note("reactive balance", names, self.base * np.abs(total.imag), "MVAr")
+
+    def injections(self) -> Complex:
+        """Complex power that devices and shunts put into each bus, p.u."""
+        buses, loads, shunts = self.buses, self.at_work(Load), self.at_work(Shunt)
+        demand = (loads.number("p") + 1j * loads.number("q")) / self.base
+        g, b = shunts.constant("g") / self.base, shunts.constant("b") / self.base
+        drawn = (g - 1j * b) * self.voltage_squared(shunts.each("bus"))
+        total = np.zeros((len(buses.names), len(self.trajectories.times)), dtype=complex)
+        for at, power in (
+            (self.generators.each("bus"), self.power("pg", "qg", self.generators)),
+            (self.storages.each("bus"), -self.power("ps", "qs", self.storages)),
+            (loads.each("bus"), self.lacking("p_unserved", "q_unserved", loads) - demand),
+            *((buses.names, self.power(f"{k.kind}_p", f"{k.kind}_q", buses)) for k in self.others),
+            (shunts.each("bus"), -drawn),
+            (buses.names, self.lacking("p_shortage", "q_shortage", buses)),
+            (buses.names, -self.lacking("p_surplus", "q_surplus", buses)),
+        ):
+            np.add.at(total, [self.position[bus] for bus in at], power)
+        return total
+
+    def power(self, active: str, reactive: str, items: _Table) -> Complex:
+        """Complex power, p.u."""
+        q = items.values(reactive) if self.reactive and self.has(reactive) else 0.0
+        return np.asarray((items.values(active) + 1j * q) / self.base)
+
+    def lacking(self, active: str, reactive: str, items: _Table) -> Complex:
+        """What an elastic plan or a plant reports to lack, p.u.; a violation in itself."""
+        power = np.zeros((len(items.names), len(self.trajectories.times)), dtype=complex)
+        for quantity, factor, unit in ((active, 1.0, "MW"), (reactive, 1j, "MVAr")):
+            if self.has(quantity):
+                values = items.values(quantity)
+                power += factor * values / self.base
+                self.note(quantity.replace("_", " "), items.names, np.abs(values), unit)
+        return power
+
+    def islands(self) -> list[list[str]]:
+        """Buses that branches in service connect."""
+        graph = nx.Graph()
+        graph.add_nodes_from(self.position)
+        pairs = [b.buses for b in self.network.of(Branch).values() if b.in_service]
+        graph.add_edges_from(pair for pair in pairs if self.position.keys() >= set(pair))
+        return [sorted(members) for members in nx.connected_components(graph)]
 
 
 # Flows of the formulations: complex power into both ends of each branch, p.u. ---------------------
 
 
+def _phasor(magnitude: Array, degrees: Array) -> Complex:
+    angle = np.deg2rad(degrees)
+    return np.asarray(magnitude * (np.cos(angle) + 1j * np.sin(angle)))
+
+
+def _series_admittance(branches: _Table) -> Complex:
+    return np.asarray(1 / (branches.constant("r") + 1j * branches.constant("x")))
+
+
+def _end_shunts(branches: _Table) -> tuple[Complex, Complex]:
+    """Admittance to ground at the from and the to end: half of the charging and what is there besides."""
+    half = (branches.constant("g") + 1j * branches.constant("b")) / 2
+    at_from = half + branches.constant("g_from") + 1j * branches.constant("b_from")
+    at_to = half + branches.constant("g_to") + 1j * branches.constant("b_to")
+    return at_from, at_to
+
+
 def _ac_flows(c: _Checker) -> Flows:
-    """The π model with an ideal transformer, from complex voltages."""
-    flows = {}
-    for name, branch in c.of(Branch, "branch").items():
-        v_from, v_to = _voltage(c, branch.from_bus), _voltage(c, branch.to_bus)
-        behind = v_from / cmath.rect(branch.tap, math.radians(branch.shift))  # the ideal transformer
-        series, from_end, to_end = _pi_model(branch)
-        current_behind = (behind - v_to) * series + behind * from_end
-        current_to = (v_to - behind) * series + v_to * to_end
-        flows[name] = (behind * current_behind.conj(), v_to * current_to.conj())
-    return flows
-
-
-def _voltage(c: _Checker, bus: str) -> Any:
-    angle = np.deg2rad(c.value("va", bus))
-    return c.value("vm", bus) * (np.cos(angle) + 1j * np.sin(angle))
-
-
-def _pi_model(branch: Branch) -> tuple[complex, complex, complex]:
-    """Series admittance and the shunts at the from and the to end."""
-    from_end = complex(branch.g / 2 + branch.g_from, branch.b / 2 + branch.b_from)
-    to_end = complex(branch.g / 2 + branch.g_to, branch.b / 2 + branch.b_to)
-    return 1 / complex(branch.r, branch.x), from_end, to_end
+    """The π model with an ideal transformer at the from end, from complex voltages."""
+    v_from, v_to = map(_phasor, c.ends("vm"), c.ends("va"))
+    ratio = _phasor(c.branches.constant("tap"), c.branches.constant("shift"))
+    series, (shunt_from, shunt_to) = _series_admittance(c.branches), _end_shunts(c.branches)
+    behind = v_from / ratio  # the ideal transformer
+    current_behind = (behind - v_to) * series + behind * shunt_from
+    current_to = (v_to - behind) * series + v_to * shunt_to
+    return behind * current_behind.conj(), v_to * current_to.conj()
 
 
 def _soc_flows(c: _Checker) -> Flows:
     """The π model on products of voltages, which must lie in their cone."""
-    flows = {}
-    for name, branch in c.of(Branch, "branch").items():
-        w_from, w_to = c.value("w", branch.from_bus), c.value("w", branch.to_bus)
-        product = c.value("wr", name) + 1j * c.value("wi", name)  # v_from v_to*
-        c.note("voltage products", name, np.abs(product) ** 2 - w_from * w_to, "p.u.")
-        series, from_end, to_end = _pi_model(branch)
-        ratio = cmath.rect(branch.tap, math.radians(branch.shift))
-        at_from = (series + from_end).conjugate() * w_from / abs(ratio) ** 2
-        at_to = (series + to_end).conjugate() * w_to
-        across = series.conjugate() * product / ratio
-        back = series.conjugate() * product.conj() / ratio.conjugate()
-        flows[name] = (at_from - across, at_to - back)
-    return flows
+    w_from, w_to = c.ends("w")
+    product = c.branches.values("wr") + 1j * c.branches.values("wi")  # v_from v_to*
+    c.note("voltage products", c.branches.names, np.abs(product) ** 2 - w_from * w_to, "p.u.")
+    ratio = _phasor(c.branches.constant("tap"), c.branches.constant("shift"))
+    series, (shunt_from, shunt_to) = _series_admittance(c.branches), _end_shunts(c.branches)
+    at_from = (series + shunt_from).conj() * w_from / np.abs(ratio) ** 2 - series.conj() * product / ratio
+    at_to = (series + shunt_to).conj() * w_to - series.conj() * product.conj() / ratio.conj()
+    return at_from, at_to
 
 
 def _dc_flows(c: _Checker) -> Flows:
     """Susceptance x / (r² + x²) times the angle."""
-    return _lossless(c, lambda branch: (-(1 / complex(branch.r, branch.x)).imag, 0.0))
+    flow = -_series_admittance(c.branches).imag * np.deg2rad(c.angles()) + 0j
+    return flow, -flow
 
 
 def _dc_matpower_flows(c: _Checker) -> Flows:
     """Susceptance 1 / (x tap) times the angle behind the phase shift."""
-    return _lossless(c, lambda branch: (1 / (branch.x * branch.tap), branch.shift))
-
-
-def _lossless(c: _Checker, model: Callable[[Branch], tuple[float, float]]) -> Flows:
-    flows = {}
-    for name, branch in c.of(Branch, "branch").items():
-        susceptance, shift = model(branch)
-        flow = susceptance * np.deg2rad(c.angle(name, branch) - shift) + 0j
-        flows[name] = (flow, -flow)
-    return flows
+    susceptance = 1 / (c.branches.constant("x") * c.branches.constant("tap"))
+    flow = susceptance * np.deg2rad(c.angles() - c.branches.constant("shift")) + 0j
+    return flow, -flow
 
 
 def _dc_losses_flows(c: _Checker) -> Flows:
     """The lossless flow and half of a loss at either end, which must be at least g angle²."""
-    flows = {}
-    for name, (flow, _) in _dc_flows(c).items():
-        branch = c.network[name]
-        assert isinstance(branch, Branch)
-        loss = c.value("loss", name) / c.base
-        least = (1 / complex(branch.r, branch.x)).real * np.deg2rad(c.angle(name, branch)) ** 2
-        c.note("branch loss", name, c.base * np.maximum(least - loss, -loss), "MW")
-        flows[name] = (flow + loss / 2, -flow + loss / 2)
-    return flows
+    flow, _ = _dc_flows(c)
+    loss = c.branches.values("loss") / c.base
+    least = _series_admittance(c.branches).real * np.deg2rad(c.angles()) ** 2
+    c.note("branch loss", c.branches.names, c.base * np.maximum(least - loss, -loss), "MW")
+    return flow + loss / 2, -flow + loss / 2
 
 
-def _no_flows(_: _Checker) -> Flows:
-    return {}
-
-
-def _reported_flows(c: _Checker) -> Flows:
+def _reported_flows(c: _Checker) -> Flows | None:
     """Of a formulation that is not known here: the flows that it reports, if it does."""
     c.leave_out(f"branch equations of the formulation {c.formulation!r}")
-    limits = [branch.angle for branch in c.of(Branch, "branch").values()]
-    if not c.angles_known and any(least > -360 or most < 360 for least, most in limits):
+    if not c.angles_known and c.limited_angles().any():
         c.leave_out("angle differences")
-    if c.reactive and not {"vm", "w"} & set(c.data):
+    if c.reactive and not c.voltages_known:
         c.leave_out("voltages")
-    flows = {}
-    if c.flows_reported:
-        for name in c.of(Branch, "branch"):
-            ends = [c.power(p, q, name) for p, q in (("pf", "qf"), ("pt", "qt"))]
-            flows[name] = (ends[0], ends[1])
-    return flows
+    if not c.has("pf", "pt") or (c.reactive and not c.has("qf", "qt")):
+        return None
+    return c.power("pf", "qf", c.branches), c.power("pt", "qt", c.branches)
 
 
-_FLOWS: dict[str, Callable[[_Checker], Flows]] = {
+_FLOWS: dict[str, Callable[[_Checker], Flows | None]] = {
     "ac": _ac_flows,
     "ac-rectangular": _ac_flows,
     "soc": _soc_flows,
     "dc": _dc_flows,
     "dc-matpower": _dc_matpower_flows,
     "dc-losses": _dc_losses_flows,
-    "copperplate": _no_flows,
+    "copperplate": lambda _: None,
 }

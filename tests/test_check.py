@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 import pytest
 import xarray as xr
 from conftest import demand, everything
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from one_by_one import cost, excesses
 
 import opfmodel as om
-from opfmodel.check import check, economic_cost, losses
+from opfmodel.check import Violation, check, economic_cost, losses
+from opfmodel.components import Component, at_bus, flag
+from opfmodel.errors import ProfileError, ResultError
 
 SERIES = demand(5)
 
@@ -116,3 +124,315 @@ def test_costs_of_all_kinds(solved: tuple[om.Network, xr.Dataset]) -> None:
     cheap, dear = (data["pg"].sel(generator=g).values for g in ("cheap", "dear"))
     expected = 0.02 * cheap**2 + 12 * cheap + 5 + np.interp(dear, [0, 20, 50], [0, 500, 1700])
     assert economic_cost(grid, data, SERIES) == pytest.approx(expected, rel=1e-6)
+
+
+def test_piecewise_linear_costs_beside_others() -> None:
+    grid = om.Network()
+    grid.bus = om.Bus()
+    grid.even = om.Generator("bus", p=(0, 9), cost=om.PiecewiseLinear([(0, 1), (5, 11), (8, 17)]))  # one line
+    grid.smooth = om.Generator("bus", p=(0, 9), cost=om.Polynomial(2, 0, 1))
+    grid.steep = om.Generator("bus", p=(0, 9), cost=om.PiecewiseLinear([(0, 0), (1, 1), (2, 3), (3, 7)]))
+    pg = np.array([[3.0, 1.0, 0.5], [20.0, 2.0, 2.5], [-1.0, 0.0, 4.0]])
+    data = xr.Dataset({"pg": (("time", "generator"), pg)}, {"time": range(3), "generator": list(grid)[1:]})
+    even, smooth, steep = 1 + 2 * pg[:, 0], 1 + 2 * pg[:, 1] ** 2, np.array([0.5, 5.0, 11.0])
+    assert economic_cost(grid, data) == pytest.approx(even + smooth + steep, rel=1e-12)
+    assert economic_cost(grid, data, {"smooth.c1": [0, 0, 1, 3, 5]}, first=2) == pytest.approx(
+        even + smooth + steep + [1, 6, 0], rel=1e-12
+    )
+
+
+# The place of the largest violation -----------------------------------------------------------------
+
+
+def place(violation: Violation) -> tuple[str, float]:
+    return violation.component, violation.time
+
+
+DIRECT = [
+    ("voltage", "vm", "d", 3.0),
+    ("generator p", "pg", "dear", 400.0),
+    ("generator q", "qg", "dear", 400.0),
+    ("ramp", "pg", "cheap", 400.0),
+    ("storage power", "ps", "tank", 400.0),
+    ("storage q", "qs", "tank", 400.0),
+    ("storage energy", "e_next", "tank", 400.0),
+    ("reported flow", "pf", "ring", 400.0),
+    ("reported flow", "qf", "ring", 400.0),
+    ("reported flow", "pt", "cable", 400.0),
+    ("reported flow", "qt", "transformer", 400.0),
+]
+
+
+@pytest.mark.parametrize(("family", "quantity", "component", "amount"), DIRECT)
+def test_a_violation_has_its_component_and_time(
+    solved, family: str, quantity: str, component: str, amount: float
+):
+    grid, data = solved
+    wrong = data.copy(deep=True)
+    wrong[quantity].loc[{wrong[quantity].dims[1]: component, "time": 3.0}] += amount
+    assert place(check(grid, wrong, SERIES).violations[family]) == (component, 3.0)
+
+
+@pytest.mark.parametrize("end", ["pf", "qf", "pt", "qt"])
+def test_ratings_hold_at_both_ends(solved, end: str) -> None:
+    grid, data = solved
+    wrong = data.copy(deep=True).assign_attrs(formulation="of another package")
+    wrong[end].loc[{"branch": "transformer", "time": 1.0}] = 900.0
+    found = check(grid, wrong, SERIES).violations["branch rating"]
+    assert place(found) == ("transformer", 1.0)
+    assert found.physical == pytest.approx(900 - 70, abs=1)
+
+
+def test_of_equal_violations_the_first_component_counts_at_its_first_stage(solved) -> None:
+    grid, data = solved
+    wrong = data.copy(deep=True)
+    for bus, time in (("c", 1.0), ("b", 4.0), ("b", 3.0), ("d", 0.0)):
+        wrong["vm"].loc[{"bus": bus, "time": time}] = 1.5
+    for order in ("abcd", "dcba"):
+        found = check(grid, wrong.sel(bus=list(order)), SERIES).violations["voltage"]
+        assert place(found) == ("b", 3.0)
+        assert found.value == pytest.approx(0.4)
+
+
+def test_without_violation_the_first_component_stands_for_its_family(solved) -> None:
+    grid, data = solved
+    calm = data.copy(deep=True)
+    calm["vm"][:] = 1.0
+    calm["vm"].loc[{"bus": "a", "time": 2.0}] = 1.05  # it comes closest to a limit
+    calm["vm"].loc[{"bus": "c", "time": 1.0}] = 1.09
+    found = check(grid, calm, SERIES).violations["voltage"]
+    assert (found.value, *place(found)) == (0.0, "a", 2.0)
+
+
+def test_the_ends_of_storages_meet_only_between_stages(solved) -> None:
+    grid, data = solved
+    found = check(grid, data.isel(time=[2]), SERIES, first=2).violations["energy continuity"]
+    assert (found.value, *place(found)) == (0.0, "battery", 2.0)
+
+
+# What is missing --------------------------------------------------------------------------------
+
+
+def test_a_missing_dispatch_breaks_its_limits_not_its_ramp(solved) -> None:
+    grid, data = solved
+    wrong = data.copy(deep=True)
+    wrong["pg"].loc[{"generator": "cheap", "time": 2.0}] = np.nan
+    found = check(grid, wrong, SERIES).violations
+    assert (found["generator p"].value, *place(found["generator p"])) == (np.inf, "cheap", 2.0)
+    assert (found["active balance"].value, *place(found["active balance"])) == (np.inf, "a", 2.0)
+    assert found["ramp"].value < 1e-6
+
+
+def test_a_missing_number_hides_no_storage_that_charges_and_discharges_at_once(solved) -> None:
+    grid, data = solved
+    grid = grid.copy()
+    grid.other = om.Storage("d", energy=40, power=10, charge_efficiency=0.9)
+    wrong = data.reindex(storage=["other", "battery", "tank"], fill_value=0.0)
+    wrong["e_next"].loc[{"storage": "battery", "time": 2.0}] -= 3.0
+    some = check(grid, wrong, SERIES).simultaneous
+    wrong["ps"].loc[{"storage": "other", "time": 1.0}] = np.nan
+    report = check(grid, wrong, SERIES)
+    assert report.simultaneous == some > 0.1
+    assert place(report.violations["storage dynamics"]) == ("other", 1.0)
+
+
+def test_what_the_data_lack_counts_as_out_of_service(solved) -> None:
+    grid, data = solved
+    report = check(grid, data.drop_sel(generator="dear"), SERIES)
+    found, lacking = report.violations["active balance"], data["pg"].sel(generator="dear")
+    assert found.physical == pytest.approx(float(lacking.max()), abs=1e-4)
+    assert place(found) == ("c", float(lacking.idxmax()))
+    assert report.cost < check(grid, data, SERIES).cost
+    idle = grid.copy()
+    idle.update("mill", in_service=False)
+    idle.update("capacitor", in_service=False)
+    assert check(idle, data, SERIES).violations["active balance"].component == "d"
+    fewer = check(grid, data.drop_dims("storage"), SERIES)
+    assert not {family for family in fewer.violations if family.startswith(("storage", "energy"))}
+    assert fewer.violations["active balance"].component in ("b", "d")
+
+
+def test_a_component_that_the_data_have_twice_is_refused(solved) -> None:
+    grid, data = solved
+    with pytest.raises(ResultError, match=r"generator: 'cheap'"):
+        check(grid, data.sel(generator=["cheap", "dear", "cheap"]), SERIES)
+
+
+@pytest.mark.parametrize("key", ["mill.q", "line.rating"])
+@pytest.mark.parametrize("stages", [[4], [2, 3, 4]])
+def test_a_series_must_cover_the_stages(solved, key: str, stages: list[int]) -> None:
+    grid, data = solved
+    short = {**SERIES, key: np.full(4, 60.0)}
+    with pytest.raises(ProfileError, match=rf"'{key}': has 4 values; 5 are needed"):
+        check(grid, data.isel(time=stages), short, first=stages[0])
+    check(grid, data, {**SERIES, "mill.x": [1.0], "nobody.p": [1.0]})  # nothing reads these
+
+
+def test_limits_may_have_a_time_series_where_others_have_none(solved) -> None:
+    grid, data = solved
+    limit = np.full(9, np.inf)
+    limit[5] = float(data["pg"].sel(generator="dear")[3]) - 7
+    found = check(grid, data, {"dear.p_max": limit}, first=2).violations["generator p"]
+    assert place(found) == ("dear", 3.0)
+    assert found.physical == pytest.approx(7, abs=1e-6)
+
+
+def test_what_is_left_out_of_a_formulation_of_another_package(solved) -> None:
+    grid, data = solved
+    other = data.assign_attrs(formulation="other")
+    equations = "branch equations of the formulation 'other'"
+    balance = "balance of the buses: the results do not say what the branches draw"
+    assert check(grid, other, SERIES).unchecked == (equations,)
+    assert check(grid, other, SERIES).max_violation < 1e-6
+    fewer = other.drop_vars(["vm", "va", "qf"])
+    assert check(grid, fewer, SERIES).unchecked == (equations, "angle differences", "voltages", balance)
+    assert not {"branch rating", "active balance"} & set(check(grid, fewer, SERIES).violations)
+    angles = check(grid, other.drop_vars("pf"), SERIES)  # need no flows
+    assert angles.unchecked == (equations, balance)
+    assert angles.violations["angle difference"] == check(grid, data, SERIES).violations["angle difference"]
+
+
+@dataclass(frozen=True)
+class Boiler(Component):
+    """A device of another package, which may feed power into the buses without reactive power."""
+
+    kind: ClassVar[str] = "boiler"
+    plural: ClassVar[str] = "boilers"
+
+    bus: str = at_bus()
+    in_service: bool = flag(True)
+
+
+def test_what_devices_of_other_packages_feed_into_the_buses_counts(solved) -> None:
+    grid, data = solved
+    grid = grid.copy()
+    grid.idle = Boiler("a", in_service=False)
+    assert check(grid, data, SERIES).unchecked == ()
+    grid.boiler = Boiler("c")
+    limits = "limits and cost of the boilers"
+    balance = "balance of the buses: the results do not say what the boilers draw"
+    assert check(grid, data, SERIES).unchecked == (limits, balance)
+    fed = data["vm"].copy(data=np.zeros((5, 4)))
+    fed.loc[{"bus": "c", "time": 3.0}] = -8.0
+    report = check(grid, data.assign(boiler_p=fed), SERIES)
+    found = report.violations["active balance"]
+    assert (found.physical, *place(found)) == (pytest.approx(8, abs=1e-4), "c", 3.0)
+    assert report.unchecked == (limits,)
+    assert report.violations["reactive balance"].value < 1e-6
+    report = check(grid, data.assign(boiler_p=0 * fed, boiler_q=fed), SERIES)
+    assert report.violations["reactive balance"].physical == pytest.approx(8, abs=1e-4)
+
+
+def test_an_island_of_the_copperplate_is_what_branches_in_service_connect() -> None:
+    grid = om.Network(base_mva=10)
+    for bus in ("z", "m", "y", "a", "x", "elsewhere"):
+        grid.add(bus, om.Bus())
+    for end in ("x", "a", "y"):
+        grid.add(f"z{end}", om.Branch("z", end, r=0, x=0.1))
+    grid.away = om.Branch("a", "elsewhere", r=0, x=0.1)
+    grid.out = om.Branch("a", "m", r=0, x=0.1, in_service=False)
+    grid.here, grid.there = om.Generator("z", p=(0, 90)), om.Generator("m", p=(0, 90))
+    grid.town, grid.mill = om.Load("a", p=30), om.Load("m", p=20)
+    data = xr.Dataset(
+        {"pg": (("time", "generator"), [[30.0, 20.0], [28.0, 23.0], [25.0, 20.0]])},
+        {"time": [0.0, 1.0, 2.0], "bus": list("mzayx"), "generator": ["here", "there"]},
+        {"formulation": "copperplate"},
+    )
+    found = check(grid, data).violations["active balance"]
+    assert (found.physical, *place(found)) == (pytest.approx(5), "a", 2.0)
+    found = check(grid, data.isel(time=[0, 1])).violations["active balance"]
+    assert (found.physical, *place(found)) == (pytest.approx(3), "m", 1.0)
+
+
+# Any data ---------------------------------------------------------------------------------------
+
+QUANTITIES = {
+    "ac": {"bus": ("vm", "va", "p_shortage", "q_shortage", "p_surplus", "q_surplus")},
+    "soc": {"bus": ("w",), "branch": ("wr", "wi")},
+    "dc": {"bus": ("va",)},
+    "dc-matpower": {"bus": ("va",)},
+    "dc-losses": {"bus": ("va",), "branch": ("loss",)},
+    "copperplate": {},
+    "of another package": {"bus": ("vm", "va"), "branch": ("pf", "qf", "pt", "qt")},
+}
+REACTIVE = ("ac", "soc", "of another package")
+COMPUTED = {  # of these, rounding may decide which of two equal violations is the larger
+    "active balance",
+    "angle difference",
+    "branch loss",
+    "branch rating",
+    "reactive balance",
+    "reported flow",
+    "storage dynamics",
+    "storage rating",
+    "voltage products",
+}
+CENTRES = {"vm": (1.0, 0.1), "w": (1.0, 0.1), "wr": (1.0, 0.1), "wi": (0.0, 0.2), "va": (0.0, 20.0)}
+
+
+def drawn(formulation: str, seed: int, stages: int) -> xr.Dataset:
+    """Any trajectory of the grid of :func:`everything`, full of violations, on a lattice that makes ties."""
+    grid, random = everything(), np.random.default_rng(seed)
+    names = {k.kind: list(grid.of(k)) for k in (om.Bus, om.Branch, om.Generator, om.Storage)}
+    quantities = {kind: list(chosen) for kind, chosen in QUANTITIES[formulation].items()}
+    quantities |= {"generator": ["pg"], "storage": ["ps", "e", "e_next"]}
+    if formulation in REACTIVE:
+        quantities["generator"].append("qg")
+        quantities["storage"].append("qs")
+    data = xr.Dataset(coords={"time": np.arange(stages) * 0.5, **names})
+    for kind, chosen in quantities.items():
+        for quantity in chosen:
+            mean, spread = CENTRES.get(quantity, (10.0, 30.0))
+            values = mean + spread * np.round(random.normal(size=(stages, len(names[kind]))), 1)
+            data[quantity] = ("time", kind), values
+    return data.assign_attrs(formulation=formulation, step_hours=0.5)
+
+
+formulations = pytest.mark.parametrize("formulation", QUANTITIES)
+seeds = given(st.integers(0, 2**32 - 1))
+
+
+@formulations
+@settings(max_examples=10)
+@seeds
+def test_neither_the_order_nor_the_layout_of_the_data_matters(formulation: str, seed: int) -> None:
+    grid, data, random = everything(), drawn(formulation, seed, 4), np.random.default_rng(seed)
+    other = data.transpose(..., "time")
+    for kind in ("bus", "branch", "generator", "storage"):
+        shuffled = [str(name) for name in random.permutation(data[kind].values)]
+        other = other.sel({kind: shuffled}).assign_coords({kind: np.array(shuffled, dtype=object)})
+    report, again = check(grid, data, SERIES), check(grid, other, SERIES)
+    assert list(again.violations) == list(report.violations)
+    for family, found in report.violations.items():
+        assert again.violations[family].physical == pytest.approx(found.physical, rel=1e-12, abs=1e-12)
+        assert family in COMPUTED or place(again.violations[family]) == place(found)
+    assert again.cost == pytest.approx(report.cost, rel=1e-12)
+    assert again.simultaneous == pytest.approx(report.simultaneous, rel=1e-12)
+
+
+@formulations
+@settings(max_examples=10)
+@seeds
+def test_it_finds_what_one_component_and_stage_at_a_time_shows(formulation: str, seed: int) -> None:
+    grid, data = everything(), drawn(formulation, seed, 4)
+    series = {
+        **SERIES,
+        "mill.p": 20 * SERIES["mill.p"],
+        "line.rating": [50.0, np.inf, 0.0, 10.0],
+        "cheap.p_max": [60.0, 20.0, 0.0, 5.0],
+        "cheap.c1": [12.0, -3.0, 0.0, 100.0],
+        "dear.ramp": [np.inf, 3.0, np.inf, 40.0],
+        "tank.energy_min": [3.0, 9.0, 0.0, 30.0],
+    }
+    report, expected = check(grid, data, series), excesses(grid, data, series)
+    assert set(report.violations) == set(expected)
+    order = list(grid)
+    for family, found in report.violations.items():
+        # of several constraints at one place the largest, which is sorted last, is kept
+        excess = {(order.index(name), time): excess for name, time, excess in sorted(expected[family])}
+        worst, where = max(0.0, *excess.values()), (order.index(found.component), found.time)
+        assert found.physical == pytest.approx(worst, rel=1e-12, abs=1e-10), family
+        if worst > 0 and family not in COMPUTED:
+            assert where == min(place for place, amount in excess.items() if amount == worst), family
+        assert worst == 0 or excess[where] == pytest.approx(worst, rel=1e-9), family
+    assert report.cost == pytest.approx(cost(grid, data, series), rel=1e-12)

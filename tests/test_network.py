@@ -135,6 +135,7 @@ def test_the_scale_of_a_system(capacity: float, scale_mva: float) -> None:
     grid.unit = om.Generator("bus", p=(0, capacity))
     if np.isinf(capacity):
         grid.town = om.Load("bus", p=40)
+        grid.lake = om.Storage("bus", energy=5, power=(-1, np.inf))
     assert grid.scale_mva == pytest.approx(scale_mva)
 
 

@@ -72,10 +72,11 @@ class Network:
     def capacity_mva(self) -> float:
         """The largest of what generators, loads and storages can exchange, MW; 0 if nothing is limited."""
         generators, storages = self.of(Generator).values(), self.of(Storage).values()
+        charging = (s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service)
         sums = (
             sum(abs(g.p[1]) for g in generators if g.in_service and abs(g.p[1]) < INF),
             sum(abs(load.p) for load in self.of(Load).values() if load.in_service),
-            sum(s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service),
+            sum(power for power in charging if power < INF),
         )
         return float(max(sums))
 
