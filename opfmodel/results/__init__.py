@@ -1,0 +1,6 @@
+"""Results: labelled arrays, the files of a run, and figures."""
+
+from opfmodel.results.dataset import dataset
+from opfmodel.results.store import finite, load, remove_temporaries, replace, save
+
+__all__ = ["dataset", "finite", "load", "remove_temporaries", "replace", "save"]

@@ -1,0 +1,66 @@
+"""Trajectories as labelled arrays in physical units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.units import scale
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["dataset"]
+
+Array = npt.NDArray[np.float64]
+
+
+def dataset(
+    network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Array
+) -> xr.Dataset:
+    """A dataset in physical units from per-unit arrays.
+
+    Parameters
+    ----------
+    network
+        Arrays of the network, with the time series of the window.
+    quantities
+        ``(kind, unit, description, values)`` by name; values of shape ``(items, stages)``. The
+        kind "" stands for the whole system; one that the network does not have is numbered.
+    times
+        Hours at which the stages begin.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions ``time`` and one per kind of component; also the demand ``pd``, ``qd`` of each bus.
+    """
+    import xarray as xr
+
+    made = xr.Dataset(coords={"time": ("time", times, {"units": "h", "long_name": "start of the stage"})})
+    made = made.assign_coords({"bus": list(network.bus.names)})
+    for kind, _, _, values in quantities.values():
+        if kind and kind not in made.coords:
+            table = network.tables.get(kind)
+            made = made.assign_coords({kind: np.arange(len(values)) if table is None else list(table.names)})
+            if table is not None and "bus" in table.arrays:
+                at = [network.bus.names[b] for b in table.bus]
+                made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
+    demand = {
+        name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times)))
+        for name, field, unit, sort in (("pd", "p", "MW", "active"), ("qd", "q", "MVAr", "reactive"))
+    }
+    for name, (kind, unit, description, values) in {**quantities, **demand}.items():
+        physical = values * scale(unit, network.base_mva)
+        attributes = {"units": unit, "long_name": description}
+        made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
+    return made
+
+
+def _demand(network: PerUnitNetwork, field: str, stages: int) -> Array:
+    values = network.load.arrays[field]
+    return network.at_buses("load", np.broadcast_to(values, (len(values), stages)))
