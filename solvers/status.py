@@ -45,3 +45,8 @@ class SolutionStatus(StrEnum):
     def is_optimal(self) -> bool:
         """Whether the point is an optimum of some kind."""
         return self in (SolutionStatus.GLOBALLY_OPTIMAL, SolutionStatus.LOCALLY_OPTIMAL)
+
+    @property
+    def is_infeasible(self) -> bool:
+        """Whether there is no feasible point, at least near the point."""
+        return self in (SolutionStatus.LOCALLY_INFEASIBLE, SolutionStatus.PROVEN_INFEASIBLE)

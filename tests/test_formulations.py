@@ -276,3 +276,22 @@ def test_ac_is_refused_by_convex_back_ends(solver: str) -> None:
         om.MultiStage(everything(), formulation="ac", solver=solver).solve()
     assert "'p_balance'" in str(error.value)
     assert f"'{solver}' solves at most a" in str(error.value)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_rating_may_be_infinite_for_a_while(formulation: str) -> None:
+    grid = om.Network("pair")
+    grid.a, grid.b = om.Bus(reference=True), om.Bus()
+    grid.tie = om.Branch("a", "b", r=0.01, x=0.1, rating=80)
+    grid.cheap = om.Generator("a", p=(0, 200), q=(-100, 100), cost=om.Polynomial(0, 10, 0))
+    grid.dear = om.Generator("b", p=(0, 200), q=(-100, 100), cost=om.Polynomial(0, 30, 0))
+    grid.town = om.Load("b", p=100, q=10)
+    grid.lake = om.Storage("b", energy=50, power=20, initial=20, rating=20)
+    series = {"tie.rating": [60, np.inf], "lake.rating": [5, np.inf]}
+    plan = om.MultiStage(grid, 2, formulation=formulation, profiles=series).solve()
+    assert plan.optimal
+    assert check(grid, plan.data, series).worst.relative < 1e-5
+    if "rating_price" in plan.data:
+        price = plan.data["rating_price"].values[:, 0]
+        assert price[0] > 1
+        assert price[1] == pytest.approx(0, abs=1e-3)

@@ -45,7 +45,7 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
         }
     )
     _diagnosis(diagnosis)
-    if solved.status.endswith("infeasible") and not elastic:
+    if solved.infeasible and not elastic:
         print_line(_ELASTIC)
 
 
@@ -76,7 +76,7 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
     )
     for step, sentences in summary["diagnosis"].items():
         _diagnosis(sentences, f"plan at step {step}")
-    if done.status.endswith("infeasible") and not elastic:
+    if done.infeasible and not elastic:
         print_line(_ELASTIC)
 
 

@@ -125,7 +125,7 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
                 slope = solution.dual("rating_from") + solution.dual("rating_to")
                 rating: Array = network.branch.rating[members]
-                return slope * 2.0 * rating
+                return np.asarray(np.where(np.isfinite(rating), slope * 2.0 * rating, 0.0))
 
             price_rating(model, members, read)
         model.build.add(terms, into=rows)

@@ -26,6 +26,19 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
+_UNLIMITED = (
+    1e4  # p.u.: a million MW on 100 MVA, and for smaller systems more than 1,000 times their capacity
+)
+
+
+def number_of(values: Array) -> Array:
+    """Values of a parameter: a limit that is never reached, of 10,000 p.u., where they are infinite.
+
+    A bound may be infinite; a parameter is a coefficient of the equations.
+    """
+    return np.asarray(np.nan_to_num(values, nan=np.nan, posinf=_UNLIMITED, neginf=-_UNLIMITED))
+
+
 class Model:
     """Collects what devices, a formulation and an objective declare.
 
@@ -420,11 +433,14 @@ class Model:
         )
 
     def parameter(self, kind: str, field: str) -> Expression:
-        """A field of the network as a parameter, ``(items, stages)``: it may change between solves."""
+        """A field of the network as a parameter, ``(items, stages)``: it may change between solves.
+
+        Where the field is infinite, which is "no limit", the parameter has :func:`number_of` it.
+        """
         if (kind, field) not in self._fields:
             table = self.network.tables[kind]
             name = f"{kind}.{field}"
-            value = table.arrays[field]
+            value = number_of(table.arrays[field])
             self._fields[kind, field] = self.build.parameter(name, len(table), self.stages, value)
             self.parameters[name] = (kind, field)
         return self._fields[kind, field]

@@ -19,7 +19,7 @@ class Economic(Objective):
         \ell = \sum_g c_2 (p^g)^2 + c_1 p^g + c_0
              + w_q \sum_g (q^g)^2 + w_e \sum_s e^2
 
-    in $/h. Source: Faulwasser and Engelmann (2019), Assumption 3 and section 5.
+    in $/h. Source: Faulwasser and Engelmann (2019), Assumption 4.1 and section 5.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class LinearQuadratic(Objective):
 
     in $/h, with :math:`x = (p^g, q^g, e)` and :math:`u = (p^s, q^s)` in the order of the network.
     Increments of generation are no variables here; their limits are ramps. Source: Faulwasser and
-    Engelmann (2019), Assumption 3.
+    Engelmann (2019), Assumption 4.1.
 
     Parameters
     ----------

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel import plugins
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
     IncompatibleError,
     ModelError,
-    PluginError,
     QuantityError,
     name_fault,
 )
@@ -34,12 +32,13 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
+from opfmodel.plan.parts import make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
 from solvers import Program, Session, SolverError, Start, prepare
 
-__all__ = ["Initial", "MultiStage", "make_devices", "make_formulation"]
+__all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
 
@@ -344,7 +343,7 @@ class MultiStage:
     def _check_needs(self, model: Model) -> None:
         missing = [name for name in self.objective.needs if not model.has(name)]
         if missing:
-            able = self._publishing(missing)
+            able = publishing(missing, self.arrays, self.devices)
             raise IncompatibleError(
                 f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
                 f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
@@ -356,38 +355,13 @@ class MultiStage:
 
         An :class:`IncompatibleError` where other formulations publish it, else the error itself.
         """
-        able = self._publishing([error.quantity])
+        able = publishing([error.quantity], self.arrays, self.devices)
         if not able or self.formulation.name in able:
             return error
         return IncompatibleError(
             f"formulation {self.formulation.name!r} does not publish {error.kind}.{error.quantity}; "
             f"formulations that do: {', '.join(able)}"
         )
-
-    def _publishing(self, quantities: list[str]) -> list[str]:
-        """Formulations that, with the devices of this network, publish some quantities."""
-        of_devices = {reactive: self._of_devices(reactive) for reactive in (False, True)}
-        able = []
-        for name, plugin in plugins.plugins("formulation").items():
-            try:
-                known = plugin.load()
-            except PluginError:
-                continue  # "opfmodel list" reports it
-            published = {
-                *getattr(known, "publishes", ()),
-                *of_devices[bool(getattr(known, "reactive", True))],
-            }
-            if published.issuperset(quantities):
-                able.append(name)
-        return able
-
-    def _of_devices(self, reactive: bool) -> set[str]:
-        """What the devices publish with formulations that have reactive power, or that have none."""
-        zones = np.arange(len(self.arrays.bus))
-        model = Model(self.arrays, self.horizon, self.step, reactive=reactive, zones=zones)
-        for device in self.devices:
-            model.connect(device)
-        return set(model.published)
 
     def _minimize(self, model: Model) -> None:
         build = model.build
@@ -515,28 +489,6 @@ def _numbers(state: str, given: npt.ArrayLike) -> Array:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         raise ModelError(f"initial {state}: {given!r}: must be one number per component") from None
-
-
-def make_formulation(formulation: str | Formulation) -> Formulation:
-    """A formulation by name, or as given."""
-    if isinstance(formulation, Formulation):
-        return formulation
-    if not isinstance(formulation, str):
-        raise ModelError(f"formulation = {formulation!r}: must be a name such as 'ac', or a formulation")
-    made = plugins.load("formulation", formulation)()
-    assert isinstance(made, Formulation)
-    return made
-
-
-def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
-    """The devices of a network: one object per kind that has components and takes part in the balance."""
-    wired = ("bus", "branch", "shunt")
-    by_kind = {device.component.kind: device for device in given}
-    return [
-        by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
-        for kind, table in network.tables.items()
-        if kind not in wired and len(table)
-    ]
 
 
 def _of_constraint(name: str, error: Exception) -> ModelError:

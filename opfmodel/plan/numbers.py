@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError
-from opfmodel.model import Model
+from opfmodel.model.model import Model, number_of
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.units import scale
 from opfmodel.plan.end import End
@@ -26,7 +26,7 @@ class Numbers:
         self.model = model
         self.program = program
         self.parameters: dict[str, Array] = {
-            name: np.asarray(network.tables[kind].arrays[field])
+            name: number_of(network.tables[kind].arrays[field])
             for name, (kind, field) in model.parameters.items()
         }
         self.lower: dict[str, Array] = {}

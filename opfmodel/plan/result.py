@@ -79,6 +79,11 @@ class Plan:
         """Whether the plan is an optimum."""
         return self.solution.status.is_optimal
 
+    @property
+    def infeasible(self) -> bool:
+        """Whether the problem has no solution, as far as the solver can tell."""
+        return self.solution.status.is_infeasible
+
     @cached_property
     def objective(self) -> float:
         """Value of the objective in $ over the horizon, without regularisation; NaN without an optimum."""

@@ -92,7 +92,7 @@ def simulate(
                 plan = controller.plan(time, state)
                 run.plans.append(_record(plan, controller.attempts, clock.perf_counter() - began))
                 if not plan.optimal:
-                    run.status = plan.status
+                    run.status, run.infeasible = plan.status, plan.infeasible
                     run.termination = f"step {time}: {plan.termination}"
                     break
                 step = plant.apply(plan)

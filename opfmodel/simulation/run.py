@@ -34,8 +34,10 @@ class Run:
         found no state in some step, or ``stopped``. Finished steps are kept in any case.
     termination
         Why it ended.
+    infeasible
+        Whether it ended because a plan has no solution.
     interrupted
-        Whether that was Ctrl-C.
+        Whether it ended by Ctrl-C.
     """
 
     problem: MultiStage
@@ -44,6 +46,7 @@ class Run:
     steps: list[Step] = field(default_factory=list)
     status: str = "running"
     termination: str = "the loop has not ended"
+    infeasible: bool = False
     interrupted: bool = False
     build_seconds: float = 0.0
     _finished: xr.Dataset | None = field(default=None, repr=False)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from opfmodel.errors import visible
 from opfmodel.study.specification import Specification
 
 __all__ = ["Watcher", "described", "live"]
@@ -73,6 +74,8 @@ class _Live(Watcher):
         """A line per worker: what it runs and for how long."""
         now = time.monotonic()
         return [
-            f"{worker}  {now - self._since.get((worker, run.key), now):5.0f} s  {described(run.labels)}"
+            visible(
+                f"{worker}  {now - self._since.get((worker, run.key), now):5.0f} s  {described(run.labels)}"
+            )
             for worker, run in sorted(self._work.items())
         ]

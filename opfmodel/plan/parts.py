@@ -1,0 +1,60 @@
+"""The formulation and the devices of a problem, and what they publish together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from opfmodel import plugins
+from opfmodel.errors import ModelError, PluginError
+from opfmodel.formulations.base import Formulation
+from opfmodel.model import Device, Model
+from opfmodel.network.arrays import PerUnitNetwork
+
+__all__ = ["make_devices", "make_formulation", "publishing"]
+
+
+def make_formulation(formulation: str | Formulation) -> Formulation:
+    """A formulation by name, or as given."""
+    if isinstance(formulation, Formulation):
+        return formulation
+    if not isinstance(formulation, str):
+        raise ModelError(f"formulation = {formulation!r}: must be a name such as 'ac', or a formulation")
+    made = plugins.load("formulation", formulation)()
+    assert isinstance(made, Formulation)
+    return made
+
+
+def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
+    """The devices of a network: one object per kind that has components and takes part in the balance."""
+    wired = ("bus", "branch", "shunt")
+    by_kind = {device.component.kind: device for device in given}
+    return [
+        by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
+        for kind, table in network.tables.items()
+        if kind not in wired and len(table)
+    ]
+
+
+def publishing(quantities: Sequence[str], network: PerUnitNetwork, devices: Sequence[Device]) -> list[str]:
+    """Formulations that, with the devices of a network, publish some quantities."""
+    of_devices = {reactive: _of_devices(network, devices, reactive) for reactive in (False, True)}
+    able = []
+    for name, plugin in plugins.plugins("formulation").items():
+        try:
+            known = plugin.load()
+        except PluginError:
+            continue  # "opfmodel list" reports it
+        published = {*getattr(known, "publishes", ()), *of_devices[bool(getattr(known, "reactive", True))]}
+        if published.issuperset(quantities):
+            able.append(name)
+    return able
+
+
+def _of_devices(network: PerUnitNetwork, devices: Sequence[Device], reactive: bool) -> set[str]:
+    """What devices publish with formulations that have reactive power, or that have none."""
+    model = Model(network, stages=1, step=1.0, reactive=reactive, zones=np.arange(len(network.bus)))
+    for device in devices:
+        model.connect(device)
+    return set(model.published)
