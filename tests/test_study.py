@@ -1068,7 +1068,7 @@ def running_scheduler(
 
     try:
         dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), *options)
-        while not file.exists():
+        while not file.exists() or not file.read_text().endswith("}"):  # written in place, not renamed
             assert started[0].poll() is None
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]
