@@ -844,8 +844,12 @@ def finish(*arguments: object, **options: Any) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def records_in(out: Path) -> int:
+    return len(list((out / "runs").glob("*.json")))
+
+
 def wait_for_records(out: Path, count: int, process: subprocess.Popen[str]) -> None:
-    while len(list((out / "runs").glob("*.json"))) < count:
+    while records_in(out) < count:
         assert process.poll() is None
         time.sleep(0.01)
 
@@ -1008,15 +1012,17 @@ def test_whatever_is_killed_nothing_is_lost(
     out = tmp_path / "out"
     run = ("run", study, "--out", out, "--workers", 2, "--json")
     resumed = workers_killed = 0
-    for _ in range(20):
+    for _ in range(14):
+        before = records_in(out)
+        worker_dies_at, all_die_at = sorted(before + chance.randint(0, 8) for _ in range(2))
         process = start(*run)
-        deadline = time.monotonic() + chance.uniform(0.0, 10.0)
-        kill_worker_at = time.monotonic() + chance.uniform(1.0, 8.0)
-        while time.monotonic() < deadline and process.poll() is None:
-            if time.monotonic() > kill_worker_at:
-                workers_killed += kill_a_worker(process.pid, chance)
-                kill_worker_at = float("inf")
+        worker_died = 0
+        while process.poll() is None and records_in(out) < all_die_at:
+            if not worker_died and records_in(out) >= worker_dies_at:
+                worker_died = kill_a_worker(process.pid, chance)
             time.sleep(0.01)
+        workers_killed += worker_died
+        time.sleep(chance.uniform(0.0, 3.0) if all_die_at == before else 0.0)  # as it starts
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
@@ -1069,7 +1075,7 @@ def running_scheduler(
 
     try:
         dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), *options)
-        while not file.exists():
+        while not file.exists() or not file.read_text().endswith("}"):  # written in place, not renamed
             assert started[0].poll() is None
             time.sleep(0.05)
         address = json.loads(file.read_text())["address"]

@@ -97,11 +97,6 @@ class Study:
 
     def __len__(self) -> int:
         """Number of runs."""
-        return self.runs
-
-    @property
-    def runs(self) -> int:
-        """Number of runs; it can be larger than what ``len`` may return."""
         return math.prod(len(axis.labels) for axis in self.axes)
 
     def variations(self) -> Iterator[Variation]:
@@ -151,11 +146,12 @@ def read_study(path: str | Path) -> Study:
             raise document.error(("vary", other.name), f"{key!r} is varied by {one.name!r} already")
     if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
+    runs = math.prod(len(axis.labels) for axis in axes)
+    if runs > _MOST_RUNS:
+        raise document.error(("vary",), f"makes {runs:,} runs; a study has at most {_MOST_RUNS:,}")
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
     study = Study(name, document.path, base, axes)
-    if study.runs > _MOST_RUNS:
-        raise document.error(("vary",), f"makes {study.runs:,} runs; a study has at most {_MOST_RUNS:,}")
     _check(document, study)
     return study
 

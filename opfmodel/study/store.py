@@ -84,9 +84,10 @@ class Store:
                     f"{self.folder}: a study is running in this folder{self._owner()}; "
                     "wait until it has ended, or choose another folder"
                 ) from None
-            remove_temporaries(self.folder, _FILES)
-            remove_temporaries(self._runs, _RECORDS)
         try:
+            with self._writing(self.folder):
+                remove_temporaries(self.folder, _FILES)
+                remove_temporaries(self._runs, _RECORDS)
             yield
         finally:
             lock.release()
