@@ -143,7 +143,7 @@ def check(
     first
         Position in the series of the first stage of ``data``.
     previous_pg
-        Dispatch before the first stage, MW by generator, if its ramp is to be checked.
+        Dispatch before the first stage, MW by generator; ramps from it are checked for those that it has.
 
     Returns
     -------
@@ -199,10 +199,15 @@ class _Trajectories:
         """A quantity of some components, in its physical unit."""
         if not names:  # the data need not have what nothing uses
             return np.zeros((0, len(self.times)))
+        if quantity not in self.data:
+            raise ResultError(f"data: there is no quantity {quantity!r}")
         array = self.data[quantity].variable
         kind = next(str(d) for d in array.dims if d != "time")
         position = self.position(kind)
         values = np.asarray(array.transpose(kind, "time").values, dtype=float)
+        lacking = next((name for name in names if name not in position), None)
+        if lacking is not None:
+            raise ResultError(f"data: {kind}: {quantity!r} has no values of {lacking!r}")
         return values[[position[name] for name in names]]
 
     def declared(self, field: str, names: list[str], constants: Array) -> Array:
@@ -359,7 +364,9 @@ class _Checker:
         if self.reactive:
             self.inside("generator q", units, units.values("qg"), units.bounds("q"), "MVAr")
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
-        before = [math.nan if previous_pg is None else previous_pg[name] for name in ramped.names]
+        before = [
+            math.nan if previous_pg is None else previous_pg.get(name, math.nan) for name in ramped.names
+        ]
         change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
         change[np.isnan(change)] = 0.0  # nothing is known before the first stage
         self.note("ramp", ramped.names, change - ramped.number("ramp") * self.step, "MW")

@@ -28,7 +28,14 @@ def certified(solution: Solution) -> Solution:
     has no status.
     """
     if solution.termination is TerminationCondition.INFEASIBLE:
-        return replace(solution, status=_infeasible(solution))
+        matrices = MatrixMaker(solution.evaluator).at(solution.instance)
+        if proves_infeasible(matrices, solution.lam_x, solution.lam_g, solution.z):
+            return replace(solution, status=SolutionStatus.PROVEN_INFEASIBLE)
+        return replace(
+            solution,
+            status=SolutionStatus.NONE,
+            message=f"{solution.message}, but its multipliers do not prove it",
+        )
     if solution.termination not in (TerminationCondition.CONVERGED, TerminationCondition.ACCEPTABLE):
         return replace(solution, status=SolutionStatus.NONE)
     error = _relative_error(solution)
@@ -47,12 +54,6 @@ def certified(solution: Solution) -> Solution:
         termination=TerminationCondition.NUMERICAL_FAILURE,
         message=f"{solution.message}, but its residuals are {error:.0e} relative",
     )
-
-
-def _infeasible(solution: Solution) -> SolutionStatus:
-    matrices = MatrixMaker(solution.evaluator).at(solution.instance)
-    proven = proves_infeasible(matrices, solution.lam_x, solution.lam_g, solution.z)
-    return SolutionStatus.PROVEN_INFEASIBLE if proven else SolutionStatus.LOCALLY_INFEASIBLE
 
 
 def _relative_error(solution: Solution) -> float:

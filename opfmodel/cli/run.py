@@ -38,7 +38,9 @@ def run(
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
     with solver_output(verbose):
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose)
-    report = check(loaded.network, done.data, loaded.profiles) if done.steps else None
+    report = None
+    if done.steps:
+        report = check(loaded.network, done.data, loaded.profiles, previous_pg=done.previous_pg)
     summary: dict[str, Any] = {
         "scenario": loaded.name,
         **done.summary(),

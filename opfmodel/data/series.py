@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,11 +116,6 @@ class Profiles(Mapping[SeriesKey, Array]):
         """Number of time steps that every series covers; None if there are no series."""
         return min((len(values) for values in self.values()), default=None)
 
-    def without(self, components: Iterable[str]) -> Profiles:
-        """These profiles without those of some components."""
-        left_out = set(components)
-        return Profiles({key: values for key, values in self.items() if key.component not in left_out})
-
     def steps(self, chosen: slice | npt.NDArray[np.integer[Any]]) -> Profiles:
         """The values of some steps; series that end before are cut."""
         return Profiles({key: values[chosen] for key, values in self.items()})
@@ -138,4 +133,6 @@ def _vector(key: SeriesKey, values: Any) -> Array:
     if np.isnan(array).any():
         step = int(np.argmax(np.isnan(array)))
         raise ProfileError(f"profile '{key}': step {step} is not a number", key, step)
+    array = array.copy() if array is values or array.base is not None else array
+    array.flags.writeable = False  # nobody changes what has been checked
     return array

@@ -123,9 +123,14 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
                 terms.append(power[0] ** 2 + power[1] ** 2)
 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
-                slope = solution.dual("rating_from") + solution.dual("rating_to")
                 rating: Array = network.branch.rating[members]
-                return np.asarray(np.where(np.isfinite(rating), slope * 2.0 * rating, 0.0))
+                rating = np.where(np.isfinite(rating), rating, 0.0)
+                price: Array = np.zeros((members.size, model.stages))
+                for name in ("rating_from", "rating_to"):  # of the square, with what it is exceeded by
+                    exceeded = f"{name}_above"
+                    by = solution.value(exceeded) if exceeded in model.slacks else 0.0
+                    price += 2.0 * (rating + by) * solution.dual(name)
+                return price
 
             price_rating(model, members, read)
         model.build.add(terms, into=rows)

@@ -74,6 +74,11 @@ class CustomConstraint:
         return bool(np.isfinite(self.at_least).any() or np.isfinite(self.at_most).any())
 
     @property
+    def length(self) -> int | None:
+        """Number of values of its limits; None if none changes in time."""
+        return min((limit.size for limit in (self.at_least, self.at_most) if limit.ndim), default=None)
+
+    @property
     def rows(self) -> str:
         """Name of its rows, which no quantity of a formulation or device has."""
         return f"constraint {self.name}"
@@ -186,12 +191,13 @@ class _PhysicalQuantities:
         value = getattr(getattr(self._model, self._kind), name)
         table = self._model.network.tables[self._kind]
         published = self._model.published.get(name)
-        unit = published.unit if published is not None else table.units.get(name, "")
-        return (
-            value
-            if name in table.arrays and table.arrays[name].dtype.kind != "f"
-            else value * scale(unit, table.base_mva)
-        )
+        if published is not None and published.kind == self._kind:
+            return value * scale(published.unit, table.base_mva)
+        if table.arrays[name].dtype.kind != "f":
+            return value
+        if name not in table.units:
+            raise ModelError(f"{self._kind}.{name} has no physical unit; use a field of the components")
+        return value * scale(table.units[name], table.base_mva)
 
 
 # Linear totals -------------------------------------------------------------------------------------

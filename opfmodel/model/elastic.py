@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError
-from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.units import scale
 from solvers import Solution
 
@@ -88,7 +88,7 @@ class Soft:
     price
         Which price of :class:`Elastic` counts.
     squared
-        Whether the rows limit the square of the quantity.
+        Whether the rows limit the square of the quantity; it is exceeded by an amount all the same.
     share
         Part of the price that each row bears, where several rows state one limit.
     first
@@ -125,14 +125,12 @@ class Soft:
 
 @dataclass(frozen=True, eq=False)
 class Slack:
-    """A variable of an elastic problem that is positive where a limit is exceeded on one side.
+    """A variable of an elastic problem: what a limit is exceeded by on one side, p.u.
 
     Attributes
     ----------
     block
         Name of the variable block.
-    bound
-        Gives the limit itself, p.u., ``(items, 1)`` or ``(items, stages)``; only for limits on squares.
     counts
         Gives, from the solution with the least shortage, which values are a shortage of their own, and
         do not merely follow from another; all by default.
@@ -142,22 +140,13 @@ class Slack:
     kind: str
     soft: Soft
     side: Side
-    bound: Callable[[Table], Array] | None = None
     counts: Callable[[Solution, PerUnitNetwork], npt.NDArray[np.bool_]] | None = None
-
-    def amount(self, values: Array, network: PerUnitNetwork) -> Array:
-        """What the limit is exceeded by, p.u., from the values of the variable."""
-        if self.bound is None:
-            return values
-        sign, bound = float(self.side.value), self.bound(network.tables[self.kind])
-        return np.asarray(sign * (np.sqrt(np.maximum(bound**2 + sign * values, 0.0)) - bound))
 
     def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[Side, Array]]:
         """How much is exceeded on each side, p.u.: positive and negative values of the variable."""
-        amounts = self.amount(values, network)
         if self.counts is not None:
-            amounts = np.where(self.counts(least, network), amounts, 0.0)
-        return [(self.side, np.maximum(amounts, 0.0)), (self.side.other, np.maximum(-amounts, 0.0))]
+            values = np.where(self.counts(least, network), values, 0.0)
+        return [(self.side, np.maximum(values, 0.0)), (self.side.other, np.maximum(-values, 0.0))]
 
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Amounts of all components of the kind in all stages, ``(items, stages)``."""

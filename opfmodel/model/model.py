@@ -16,27 +16,28 @@ from opfmodel.model.elastic import Elastic, Side, Slack, Soft
 from opfmodel.model.stage import Quantities, sum_of_costs
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.components import BUILT_IN
+from opfmodel.results.dataset import DEMAND
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum, total
 
 __all__ = ["Model"]
-
-_LEAST_BOUND = 0.1  # p.u.; smaller limits are priced like this one
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
-_UNLIMITED = (
-    1e4  # p.u.: a million MW on 100 MVA, and for smaller systems more than 1,000 times their capacity
-)
+_UNLIMITED = 1e4  # times the demand, or 1 p.u. if that is more
 
 
-def number_of(values: Array) -> Array:
-    """Values of a parameter: a limit that is never reached, of 10,000 p.u., where they are infinite.
+def number_of(values: Array, network: PerUnitNetwork) -> Array:
+    """Values of a parameter; where they are infinite, a limit that is never reached.
 
     A bound may be infinite; a parameter is a coefficient of the equations.
     """
-    return np.asarray(np.nan_to_num(values, nan=np.nan, posinf=_UNLIMITED, neginf=-_UNLIMITED))
+    if not np.isinf(values).any():
+        return np.asarray(values)
+    demand = float(np.abs(network.load.p).sum(axis=0).max(initial=1.0))
+    never = _UNLIMITED * demand
+    return np.asarray(np.nan_to_num(values, nan=np.nan, posinf=never, neginf=-never))
 
 
 class Model:
@@ -61,6 +62,8 @@ class Model:
 
     Attributes
     ----------
+    series
+        Fields that have time series, by ``(kind, field)``.
     slacks
         By how much limits are exceeded, by name of the variable; empty unless elastic.
     penalties
@@ -94,11 +97,11 @@ class Model:
         self.prices: dict[str, Price] = {}
         self.states: dict[str, State] = {}
         self.bounds: dict[str, BoundSource] = {}
-        self.parameters: dict[str, tuple[str, str]] = {}
+        self.parameters: dict[str, tuple[str, Bound]] = {}
         self.injections: list[Injection] = []
         self.devices: list[Device] = []
         self._declaring: str | None = None
-        self._series = set(series)
+        self.series = set(series)
         self._fields: dict[tuple[str, str], Expression] = {}
         self._quantities: dict[str, Quantities] = {}
         n_zones = int(zones.max()) + 1
@@ -346,17 +349,17 @@ class Model:
         for name, side, bound in ((below, Side.BELOW, lower), (above, Side.ABOVE, upper)):
             table = self.network.tables.get(kind, self.network.bus)  # bounds of constraints are numbers
             if soft.sentence(side) and np.isfinite(resolved(table, bound)).any():
-                slack = Slack(name, kind, soft, side, _roots(bound) if soft.squared else None)
-                self.build.add(-side.value * self._slack(slack, rows.index.shape[1]), into=rows)
+                exceeded = self._slack(Slack(name, kind, soft, side), rows.index.shape[1])
+                if soft.squared:  # the square of the limit with what it is exceeded by, less its own square
+                    limit = self._number(kind, f"{name}_limit", _root(bound), rows.index.shape)
+                    exceeded = 2.0 * limit * exceeded + side.value * exceeded**2
+                self.build.add(-side.value * exceeded, into=rows)
 
     def _slack(self, slack: Slack, stages: int) -> Expression:
         assert self.elastic is not None
         soft = slack.soft
         values = self.build.variable(slack.block, soft.members.size, stages, 0.0, np.inf)
-        price: float | Array = self.penalty(soft)
-        if slack.bound is not None:  # d(x^2) = 2 x dx
-            price = price / (2.0 * np.maximum(slack.bound(self.network.tables[slack.kind]), _LEAST_BOUND))
-        self.penalise(price * values)
+        self.penalise(self.penalty(soft) * values)
         self.slacks[slack.block] = slack
         return values
 
@@ -414,21 +417,24 @@ class Model:
 
     def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity, so that objectives and constraints can use it and plans report it."""
-        if name in self.published:
-            raise IncompatibleError(f"two quantities are named {name!r}")
+        self._name(name)
         self.published[name] = Published(kind, unit, description, values)
 
     def report(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
         """Name a quantity for results alone: objectives and constraints do not see it."""
-        if name in self.published or name in self.reported:
-            raise IncompatibleError(f"two quantities are named {name!r}")
+        self._name(name)
         self.reported[name] = Published(kind, unit, description, values)
+
+    def _name(self, name: str) -> None:
+        """Raise an error for the name of another quantity or price: results have one of each name."""
+        if name in (*self.published, *self.reported, *self.prices, *DEMAND):
+            raise IncompatibleError(f"two quantities are named {name!r}")
 
     def field(self, kind: str, field: str) -> Any:
         """A field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""
         return (
             self.parameter(kind, field)
-            if (kind, field) in self._series
+            if (kind, field) in self.series
             else self.network.tables[kind].arrays.get(field)
         )
 
@@ -440,10 +446,19 @@ class Model:
         if (kind, field) not in self._fields:
             table = self.network.tables[kind]
             name = f"{kind}.{field}"
-            value = number_of(table.arrays[field])
+            value = number_of(table.arrays[field], self.network)
             self._fields[kind, field] = self.build.parameter(name, len(table), self.stages, value)
             self.parameters[name] = (kind, field)
         return self._fields[kind, field]
+
+    def _number(self, kind: str, name: str, value: Bound, shape: tuple[int, ...]) -> Any:
+        """A number made of fields of a kind: a parameter if a field of the kind has time series."""
+        given = number_of(resolved(self.network.tables[kind], value), self.network)
+        if not any(changing == kind for changing, _ in self.series):
+            return given
+        self.parameters[name] = kind, value
+        items, stages = shape
+        return self.build.parameter(name, items, stages, given)
 
     def price(
         self,
@@ -454,6 +469,7 @@ class Model:
         description: str,
     ) -> None:
         """Name a shadow price: what one more unit of something is worth, whatever the back end."""
+        self._name(name)
         self.prices[name] = Price(kind, unit, description, read)
 
     def _balance_price(self, rows: str) -> Callable[[Solution, PerUnitNetwork], Array]:
@@ -490,7 +506,7 @@ class Model:
         return sum_of_costs(self.devices, self)
 
 
-def _roots(bound: Bound) -> Callable[[Table], Array]:
+def _root(bound: Bound) -> Callable[[Table], Array]:
     """Square roots of the values of a bound."""
     return lambda table: np.sqrt(resolved(table, bound))
 

@@ -330,6 +330,8 @@ def _table(
     for array in arrays.values():
         array.flags.writeable = False
     units = {name: field.unit for name, field in kind.table_fields().items()}
+    if "segment_slope" in arrays:
+        units |= {"segment_slope": "$/MWh", "segment_offset": "$/h"}
     return Table(kind, tuple(members), arrays, units, base_mva)
 
 

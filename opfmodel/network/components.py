@@ -178,6 +178,12 @@ class Storage(Component):
             raise ComponentError(
                 name, "energy_min", self.energy_min, f"must be at most the capacity, energy = {self.energy:g}"
             )
+        power, q = (pair if isinstance(pair, tuple) else (-pair, pair) for pair in (self.power, self.q))
+        least = math.hypot(*(max(low, min(0.0, high)) for low, high in (power, q)))
+        if self.rating is not None and least > self.rating:
+            raise ComponentError(
+                name, "rating", self.rating, f"power and q need at least {least:g} MVA, whatever is decided"
+            )
         if self.initial is not None and not self.energy_min <= self.initial <= self.energy:
             raise ComponentError(
                 name,

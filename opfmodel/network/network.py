@@ -24,7 +24,7 @@ from typing import Any, TypeVar, cast
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
 from opfmodel.network.bounds import BASE_MVA
 from opfmodel.network.component import Component, plain_value
-from opfmodel.network.components import Generator, Load, Storage
+from opfmodel.network.components import BUILT_IN, Generator, Load, Storage
 from opfmodel.network.fields import INF, is_number
 
 __all__ = ["Network", "name_pattern"]
@@ -54,6 +54,7 @@ class Network:
     base_mva: float
     _components: dict[str, Component]
     _derived: dict[Callable[[Network], Any], Any]
+    _classes: dict[str, type[Component]]
 
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
         least, most = BASE_MVA
@@ -67,6 +68,7 @@ class Network:
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
         object.__setattr__(self, "_derived", {})
+        object.__setattr__(self, "_classes", {kind.kind: kind for kind in BUILT_IN})
 
     @property
     def capacity_mva(self) -> float:
@@ -145,6 +147,12 @@ class Network:
         if component is None:
             del self._components[name]
         else:
+            first = self._classes.setdefault(component.kind, type(component))
+            if first is not type(component):
+                raise NetworkError(
+                    f"network {self.name!r}: {name} = {component!r}: the kind {component.kind!r} is that of "
+                    f"{first.__name__}; a class of components needs a kind of its own"
+                )
             self._components[name] = component
         self._derived.clear()
 
@@ -166,7 +174,11 @@ class Network:
         """A network with the same components, to be changed independently."""
         twin = Network(self.name, self.base_mva)
         twin._components.update(self._components)
+        twin._derived.update(self._derived)
+        twin._classes.update(self._classes)
         return twin
+
+    __copy__ = copy
 
     def __getitem__(self, name: str) -> Component:
         try:

@@ -17,6 +17,7 @@ from opfmodel.errors import (
     IncompatibleError,
     ModelError,
     QuantityError,
+    listed,
     name_fault,
 )
 from opfmodel.formulations.base import Formulation
@@ -122,10 +123,10 @@ class MultiStage:
             raise ModelError(f"step = {step!r}: must be a number of hours from {shortest:g} to {longest:g}")
         if generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
-        self.network = network
+        self.network = network.copy()  # what is changed from now on is for other problems
         self.horizon = int(horizon)
         self.step = float(step)
-        self.arrays = per_unit(network)
+        self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
         needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
         check_memory(f"horizon = {horizon:,}", needed)
@@ -149,6 +150,7 @@ class MultiStage:
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
         self._rationed = False
+        self._family = object()  # shared with the variants, which are copies
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -243,10 +245,14 @@ class MultiStage:
         twin.objective = self.objective if objective is None else objective
         return twin
 
+    def is_variant_of(self, other: MultiStage) -> bool:
+        """Whether one is the other, or was made of it by :meth:`variant`."""
+        return self._family is other._family
+
     @cached_property
     def shortage_problems(self) -> tuple[MultiStage, MultiStage]:
         """The problems of the least shortage, and of the least cost at a given shortage."""
-        least = self.variant(elastic=self.elastic, objective=Nothing())
+        least = self.variant(elastic=self.elastic, objective=Nothing(self.objective))
         return least, self.variant(elastic=self.elastic, rationed=True)
 
     @property
@@ -260,8 +266,37 @@ class MultiStage:
         injections = {i.name: (i.unit, i.description) for i in model.injections}
         return slacks | {name: (p.unit, p.description) for name, p in named.items()} | injections
 
-    def window(self, start: int, stages: int) -> PerUnitNetwork:
+    def check_lengths(self, steps: int, metered: Objective | None = None) -> None:
+        """Raise :class:`ModelError` unless everything that changes in time is long enough for a closed loop.
+
+        Parameters
+        ----------
+        steps
+            Steps of the loop; the plan of the last one looks a horizon ahead.
+        metered
+            What the steps cost, if it is not the objective.
+        """
+        planned = steps + self.horizon - 1
+        lengths = [("time series", self.profiles.length, planned)]
+        lengths += [(f"constraint {name!r}", own.length, planned) for name, own in self.constraints.items()]
+        for objective, needed in ((self.objective, planned), (metered or self.objective, steps)):
+            own = [values.shape[1] for values in self._series_of(objective).values()]
+            length = min((size for size in own if size > 1), default=None)
+            lengths.append((f"series of {type(objective).__name__}", length, needed))
+        for what, length, needed in lengths:
+            if length is not None and length < needed:
+                raise ModelError(
+                    f"{steps} steps with a horizon of {self.horizon} need {what} of {needed} values; "
+                    f"the shortest has {length}; give longer series, or less horizon or steps"
+                )
+
+    def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
         """The network with the time series of the steps from ``start`` on.
+
+        Parameters
+        ----------
+        objective
+            Whose own series are put in; by default those of the problem's objective.
 
         Raises
         ------
@@ -269,13 +304,14 @@ class MultiStage:
             A series of the profiles or of the objective ends before the window does.
         """
         series = window(self.profiles, self.arrays, start, stages)
-        for key, values in self._objective_series.items():
+        objective = self.objective if objective is None else objective
+        for key, values in self._series_of(objective).items():
             known = values.shape[1]
             if known == 1:
                 series[key] = np.repeat(values, stages, axis=1)
             elif known < start + stages:
                 raise ModelError(
-                    f"{type(self.objective).__name__}: {key[1]} has {known} values; "
+                    f"{type(objective).__name__}: {key[1]} has {known} values; "
                     f"steps {start} to {start + stages - 1} need {start + stages}"
                 )
             else:
@@ -285,6 +321,10 @@ class MultiStage:
     @cached_property
     def _objective_series(self) -> Mapping[tuple[str, str], Array]:
         return self.objective.series(self.arrays)
+
+    def _series_of(self, objective: Objective) -> Mapping[tuple[str, str], Array]:
+        own = objective is self.objective
+        return self._objective_series if own else objective.series(self.arrays)
 
     # Compiling ---------------------------------------------------------------------------
 
@@ -410,7 +450,7 @@ class MultiStage:
             another point to start from.
         expected
             Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
-            in place of those that the profiles have: a forecast, say.
+            in place of those that the profiles or the objective have: a forecast, say.
 
         Returns
         -------
@@ -446,6 +486,12 @@ class MultiStage:
             and previous.solution.x.size != program.n_variables
         ):
             raise ModelError("previous: it is a plan of another problem, with other variables")
+        for key in request.expected or {}:
+            if key not in model.series:
+                known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
+                raise ModelError(
+                    f"expected: {'.'.join(key)}: only what has a time series can be expected: {known}"
+                )
         network = self.window(time, self.horizon).with_series(request.expected or {})
         numbers = Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}

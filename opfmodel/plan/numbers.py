@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError
+from opfmodel.model.declared import resolved
 from opfmodel.model.model import Model, number_of
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.units import scale
@@ -26,8 +27,8 @@ class Numbers:
         self.model = model
         self.program = program
         self.parameters: dict[str, Array] = {
-            name: number_of(network.tables[kind].arrays[field])
-            for name, (kind, field) in model.parameters.items()
+            name: number_of(resolved(network.tables[kind], value), network)
+            for name, (kind, value) in model.parameters.items()
         }
         self.lower: dict[str, Array] = {}
         self.upper: dict[str, Array] = {}

@@ -98,7 +98,8 @@ class Plan:
     @cached_property
     def stage(self) -> NumericStage:
         """The quantities of the plan as numbers in per unit, for metering costs."""
-        return NumericStage(self.network, self.problem.step, self.quantities(), self.model.devices)
+        published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
+        return NumericStage(self.network, self.problem.step, published, self.model.devices)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
@@ -121,7 +122,7 @@ class Plan:
         network, stages = self.network, self.problem.horizon
         return {
             (slack.kind, name): slack.spread(
-                slack.amount(self.solution.value(name), network), len(network.tables[slack.kind]), stages
+                self.solution.value(name), len(network.tables[slack.kind]), stages
             )
             for name, slack in self.model.slacks.items()
             if slack.kind in network.tables and name not in self.model.reported

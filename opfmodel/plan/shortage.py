@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.model import Model, Stage
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan.request import Request
 from opfmodel.plan.result import Plan
@@ -26,7 +29,20 @@ _SAME, _SLACK = 1e-4, 1e-6
 
 
 class Nothing(Objective):
-    """No cost at all, so that only shortages count."""
+    """No cost at all, so that only shortages count.
+
+    Parameters
+    ----------
+    objective
+        The objective that it stands in for, whose series the network keeps.
+    """
+
+    def __init__(self, objective: Objective) -> None:
+        self.objective = objective
+
+    def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], npt.NDArray[np.float64]]:
+        """The series of the objective."""
+        return self.objective.series(network)
 
     def stage_cost(self, stage: Stage) -> Any:  # noqa: ARG002
         """None."""

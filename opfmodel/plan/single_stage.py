@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.components import Generator, Storage
@@ -84,9 +85,9 @@ class SingleStageSequence:
                 columns = data[quantity].transpose("generator", "time").values
                 names = data["generator"].values
                 values |= {f"{n}.{quantity}": row for n, row in zip(names, columns, strict=True)}
-        for name, storage in self._network.of(Storage).items():
-            if storage.in_service:
-                values |= {f"{name}.e": share * storage.energy, f"{name}.ps": 0.0, f"{name}.qs": 0.0}
+        for name in per_unit(self._network).storage.names:
+            energy = self._network.of(Storage)[name].energy
+            values |= {f"{name}.e": share * energy, f"{name}.ps": 0.0, f"{name}.qs": 0.0}
         return Setpoints(values)
 
 
@@ -110,7 +111,14 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
         another package couples the steps.
     """
     network = _alone(problem.network)
-    kept = problem.profiles.without(problem.network.of(Storage))
+    storages = problem.network.of(Storage)
+    kept = Profiles(
+        {
+            key: v
+            for key, v in problem.profiles.items()
+            if key.component not in storages and key.field != "ramp"
+        }
+    )
     window = kept.steps(slice(start, start + steps))
     if window.length is not None and window.length < steps:
         raise ModelError(

@@ -14,9 +14,12 @@ from opfmodel.network.units import scale
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["dataset"]
+__all__ = ["DEMAND", "dataset"]
 
 Array = npt.NDArray[np.float64]
+
+DEMAND = {"pd": ("p", "MW", "active"), "qd": ("q", "MVAr", "reactive")}
+"""What every dataset has beside the quantities: field of the loads, unit and sort by name."""
 
 
 def dataset(
@@ -52,7 +55,7 @@ def dataset(
                 made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
         name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times)))
-        for name, field, unit, sort in (("pd", "p", "MW", "active"), ("qd", "q", "MVAr", "reactive"))
+        for name, (field, unit, sort) in DEMAND.items()
     }
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():
         physical = values * scale(unit, network.base_mva)

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError, ProfileError
+from opfmodel.errors import ModelError, ProfileError, listed
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite, window
@@ -81,6 +81,10 @@ class Controller:
         self.attempts: list[Attempt] = []
         self._last: Plan | None = None
 
+    def begin(self) -> None:
+        """Begin a run, and forget the last one."""
+        self._last, self.attempts = None, []
+
     def plan(self, time: int, state: Initial | None) -> Plan:
         """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
         expected, last = self._expected(time), self._last
@@ -128,10 +132,16 @@ class Controller:
             return None
         problem = self.problem
         expected = self.forecast.expected(problem.profiles, time, problem.horizon)
+        where = f"forecast {type(self.forecast).__name__} at step {time}"
+        differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
+        if differing:
+            raise ModelError(
+                f"{where}: it must expect the series that there are and no others: {listed(differing)}"
+            )
         try:
             check_finite(expected, problem.network)
         except ProfileError as error:
-            raise ModelError(f"forecast {type(self.forecast).__name__} at step {time}: {error}") from error
+            raise ModelError(f"{where}: {error}") from error
         ahead = window(expected, problem.arrays, 0, problem.horizon)
         if ("generator", "p_max") in ahead:  # a unit that runs can at least do that
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)

@@ -13,7 +13,7 @@ from opfmodel.forecasts.base import Forecast
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.memory import check_memory, run_bytes
-from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
+from opfmodel.simulation.controller import Controller, OnInfeasible
 from opfmodel.simulation.plants.base import Plant
 from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
@@ -75,22 +75,20 @@ def simulate(
     check_response(controller.forecast, plant)
     problem = controller.problem
     check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
-    needed, length = steps + problem.horizon - 1, problem.profiles.length
-    if length is not None and length < needed:
-        raise ModelError(
-            f"{steps} steps with a horizon of {problem.horizon} need time series of {needed} values; "
-            f"the shortest has {length}; give longer series, or less horizon or steps"
-        )
-    run = Run(problem, problem.objective if objective is None else objective)
+    metered = problem.objective if objective is None else objective
+    problem.check_lengths(steps, metered)
+    run = Run(problem, metered, initial=initial)
     state = initial
     with _progress(steps) if progress else nullcontext(lambda: None) as advance:
+        controller.begin()
+        plant.begin(problem, initial)
         try:
             problem.compile()
             run.build_seconds = problem.build_seconds
             for time in range(steps):
                 began = clock.perf_counter()
                 plan = controller.plan(time, state)
-                run.plans.append(_record(plan, controller.attempts, clock.perf_counter() - began))
+                run.plans.append(_record(plan, controller, clock.perf_counter() - began))
                 if not plan.optimal:
                     run.status, run.infeasible = plan.status, plan.infeasible
                     run.termination = f"step {time}: {plan.termination}"
@@ -118,8 +116,9 @@ def check_response(forecast: Forecast | None, plant: Plant) -> None:
         )
 
 
-def _record(plan: Plan, attempts: list[Attempt], seconds: float) -> dict[str, Any]:
-    elastic = plan.problem.elastic is not None and plan.optimal
+def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any]:
+    attempts = controller.attempts
+    elastic = plan.optimal and (plan.problem is not controller.problem or bool(plan.shortages))
     counted = [attempt.iterations for attempt in attempts if attempt.iterations is not None]
     return {
         "status": "elastic" if elastic else plan.status,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
-from opfmodel.plan import MultiStage
+from opfmodel.plan import Initial, MultiStage
 from opfmodel.results import dataset
 from opfmodel.simulation.plants.base import Step
 from opfmodel.simulation.records import summarise
@@ -34,6 +34,8 @@ class Run:
         found no state in some step, or ``stopped``. Finished steps are kept in any case.
     termination
         Why it ended.
+    initial
+        State at the first step, in physical units.
     infeasible
         Whether it ended because a plan has no solution.
     interrupted
@@ -49,6 +51,7 @@ class Run:
     infeasible: bool = False
     interrupted: bool = False
     build_seconds: float = 0.0
+    initial: Initial | None = None
     _finished: xr.Dataset | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -70,7 +73,7 @@ class Run:
 
     def _stage(self) -> NumericStage:
         """The realised quantities as numbers in per unit."""
-        network = self.problem.window(0, len(self.steps))
+        network = self.problem.window(0, len(self.steps), self.objective)
         # what limits are exceeded by is there only in the steps of an elastic plan
         absent = {key: np.zeros_like(value) for step in self.steps for key, value in step.values.items()}
         values = {
@@ -78,6 +81,15 @@ class Run:
             for key, zero in absent.items()
         }
         return NumericStage(network, self.problem.step, values, self.problem.devices)
+
+    @property
+    def previous_pg(self) -> dict[str, float] | None:
+        """Dispatch in MW before the first step, from which it was ramped; None where that was free."""
+        before = (self.initial or {}).get("pg")
+        if before is None or self.problem.generator_delay == 1:
+            return None
+        names = self.problem.arrays.generator.names
+        return dict(zip(names, np.asarray(before, dtype=float).tolist(), strict=True))
 
     @property
     def cost_rate(self) -> Array:

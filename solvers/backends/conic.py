@@ -102,7 +102,8 @@ class ConicSession:
         self._evaluator = Evaluator(program)
         self._maker = MatrixMaker(self._evaluator)
         self._solver = solver
-        self._options = _DEFAULTS.get(solver, {}) | dict(options)
+        self._given = dict(options)
+        self._options = _DEFAULTS.get(solver, {}) | self._given
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:  # noqa: ARG002
@@ -120,7 +121,9 @@ class ConicSession:
                 warnings.simplefilter("ignore")  # the status says it
                 termination, message = self._call(stated.problem)
         except (TypeError, AttributeError, ValueError) as error:
-            raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
+            if not self._given:
+                raise
+            raise SolverOptionError(f"{self._solver} refused its options {self._given}: {error}") from error
         seconds = time.perf_counter() - began
         if termination is TerminationCondition.INTERRUPTED:
             raise KeyboardInterrupt

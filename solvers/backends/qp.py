@@ -125,7 +125,8 @@ class QPSession:
         self._maker = MatrixMaker(self._evaluator)
         self._solver = solver
         self._known = _KNOWN.get(solver, _Known())
-        self._options = dict(self._known.defaults) | _checked(solver, options)
+        self._given = _checked(solver, options)
+        self._options = dict(self._known.defaults) | self._given
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
@@ -161,7 +162,9 @@ class QPSession:
                     **self._options,
                 )
         except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
-            raise SolverOptionError(f"{self._solver} refused its options {self._options}: {error}") from error
+            if not self._given:
+                raise
+            raise SolverOptionError(f"{self._solver} refused its options {self._given}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
             found, report = qpsolvers.Solution(problem, found=False), _Report(None, str(error), None)
         else:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.network.arrays import PerUnitNetwork
-from opfmodel.plan import Plan
+from opfmodel.plan import Initial, MultiStage, Plan
 
 __all__ = ["Key", "Plant", "Step", "Values"]
 
@@ -65,11 +65,19 @@ class Plant:
     def check(self, network: PerUnitNetwork) -> None:
         """Raise :class:`opfmodel.errors.ModelError` for options that do not fit a network."""
 
-    def apply(self, plan: Plan) -> Step:
-        """Apply the first stage of a plan.
+    def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
+        """Begin a run, and forget the last one.
 
-        Steps come in the order of time, and ``plan.time`` says which it is: a plan whose step does not follow
-        the last one begins another run.
+        Parameters
+        ----------
+        problem
+            The controller's problem.
+        state
+            The state at the first step, in physical units; see :meth:`MultiStage.solve`.
+        """
+
+    def apply(self, plan: Plan) -> Step:
+        """Apply the first stage of a plan; steps of a run come in the order of time.
 
         Returns
         -------

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Index, PerUnitNetwork, Table
@@ -84,16 +83,9 @@ class PowerFlow(ACPlant):
         }
         devices = [own.get(device.component, device) for device in problem.devices]
         others = [key for key in set_points(plan) if key not in ALWAYS]
-        self._set_points = SetPoints(dict.fromkeys((*ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0))
-        free = _without_limits(problem.arrays)
-        kept = {
-            key: values
-            for key, values in problem.profiles.items()
-            if (problem.network[key.component].kind, key.field) not in free
-        }
-        made = one_stage(problem, self._set_points, devices, profiles=Profiles(kept))
-        made.arrays = made.arrays.with_series(free)
-        return made
+        prices = dict.fromkeys((*ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0)
+        self._set_points = SetPoints(prices, _without_limits(problem.arrays))
+        return one_stage(problem, self._set_points, devices)
 
     def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
         """Hold the set-points, and voltages where there are generators."""

@@ -11,7 +11,7 @@ from opfmodel.data.series import SeriesKey
 from opfmodel.model import Device, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
-from opfmodel.plan import MultiStage, Plan
+from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
@@ -31,11 +31,22 @@ class ACPlant(Plant):
     """
 
     def __init__(self) -> None:
-        self._arrays: PerUnitNetwork | None = None
         self._set_points = SetPoints({})
+        self._controlled: MultiStage | None = None
+        self._own: MultiStage | None = None
         self._last: Plan | None = None
         self._before: Array | None = None
-        self._next = -1
+        self._next = 0
+
+    def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
+        """Begin a run; the plant's own problem is compiled again only for another problem."""
+        if self._controlled is None or not problem.is_variant_of(self._controlled):
+            self._controlled, self._own = problem, None
+            names, known = problem.arrays.generator.names, problem.profiles
+            self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
+        self._last, self._next = None, 0
+        before = (state or {}).get("pg") if problem.generator_delay == 0 else None
+        self._before = None if before is None else np.asarray(before, dtype=float) / problem.arrays.base_mva
 
     def apply(self, plan: Plan) -> Step:
         """Find the physical state of the first stage of a plan, at the demand that happens.
@@ -46,7 +57,11 @@ class ACPlant(Plant):
             Also if there is no such state: then with the set-points as they were, NaN for what the
             network does, and the status.
         """
-        self._prepare(plan)
+        known = self._controlled is not None and plan.problem.is_variant_of(self._controlled)
+        if not known or plan.time < self._next:
+            self.begin(plan.problem)
+        if self._own is None:
+            self._own = self.make(plan)
         network = plan.problem.window(plan.time, 1)
         planned = {key: value[:, 0] for key, value in plan.quantities().items() if key[0] not in _NETWORK}
         aims = _with_energy(self.aims(plan, planned), planned, network, plan.problem.step)
@@ -59,21 +74,10 @@ class ACPlant(Plant):
         return Step(
             values={**{key: price[:, 0] for key, price in plan.prices().items()}, **values},
             state=self._state(plan, values, network),
-            described={**plan.problem.described, **self._problem.described, **DESCRIBED},
+            described={**plan.problem.described, **self._own.described, **DESCRIBED},
             status=found.status,
             solved=found.optimal,
         )
-
-    def _prepare(self, plan: Plan) -> None:
-        """Compile for the network of a plan, and forget what happened if the plan is not the next one."""
-        if self._arrays is not plan.problem.arrays:
-            self._arrays = plan.problem.arrays
-            self._problem = self.make(plan)
-            self._next = -1
-            known, names = plan.problem.profiles, self._arrays.generator.names
-            self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
-        if plan.time != self._next:
-            self._last = self._before = None
 
     def aims(self, plan: Plan, planned: Values) -> Values:  # noqa: ARG002 - for subclasses
         """The set-points that devices really aim at, p.u.; by default those of the plan."""
@@ -89,9 +93,10 @@ class ACPlant(Plant):
 
     def solve(self, time: int, initial: dict[str, Any] | None, window: Values) -> Plan:
         """Solve, first from the last state, then from nothing."""
-        found = self._problem.solve(time, initial, self._last, expected=window)
+        assert self._own is not None
+        found = self._own.solve(time, initial, self._last, expected=window)
         if not found.optimal and self._last is not None:
-            found = self._problem.solve(time, initial, expected=window)
+            found = self._own.solve(time, initial, expected=window)
         self._last = found if found.optimal else None
         return found
 
@@ -139,14 +144,17 @@ class SetPoints(Objective):
     ----------
     prices
         By quantity, $/h per p.u.; what costs nothing has a set-point for devices that hold it.
+    fields
+        Fields of the network that are other than declared, ``(items, 1)``.
     """
 
-    def __init__(self, prices: Mapping[Key, float]) -> None:
+    def __init__(self, prices: Mapping[Key, float], fields: Values | None = None) -> None:
         self.prices = prices
+        self.fields = fields or {}
 
     def series(self, network: PerUnitNetwork) -> Values:
-        """Set-points of zero, for want of a plan."""
-        return self.targets(network, {})
+        """Set-points of zero, for want of a plan, and the fields."""
+        return self.targets(network, {}) | self.fields
 
     def targets(self, network: PerUnitNetwork, planned: Values) -> Values:
         """Set-points ``(items, 1)`` as fields of the network, zero where a plan has none."""
