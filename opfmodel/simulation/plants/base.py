@@ -56,8 +56,8 @@ class Plant:
     Attributes
     ----------
     needs_perfect_forecast
-        Whether the plant takes the plan as the outcome, so that an imperfect forecast would break
-        the power balance.
+        Whether the plant takes the plan as the outcome; an imperfect forecast would then break the
+        power balance.
     """
 
     needs_perfect_forecast: ClassVar[bool] = False
