@@ -1,4 +1,4 @@
-"""Constraints of one's own: in Python and in scenario files, under every formulation, with prices."""
+"""Custom constraints: in Python and in scenario files, under every formulation, with prices."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FORMULATIONS = [n for n, p in plugins.plugins("formulation").items() if p.origin
 
 
 def two_units() -> om.Network:
-    """A cheap unit behind a line and a dear one at the demand."""
+    """A cheap unit behind a line and an expensive one at the demand."""
     grid = om.Network("two-units")
     grid.north = om.Bus(vm=(0.95, 1.05), reference=True)
     grid.south = om.Bus(vm=(0.95, 1.05))
@@ -139,7 +139,7 @@ def test_a_constraint_of_some_stages_only_has_no_price() -> None:
     assert not {"last_price", "steady_price"} & set(data)
     made = problem("dc")
     made.constrain("last", lambda s: s.generator.pg[[1], -1:], at_least=25)
-    with pytest.raises(ModelError, match="'last': at_least and at_most are for all stages; write >= or <="):
+    with pytest.raises(ModelError, match="'last': at_least and at_most"):
         made.solve()
 
 
@@ -148,9 +148,9 @@ def test_a_constraint_of_some_stages_only_has_no_price() -> None:
     [
         (lambda s: 3, {}, "'own': must return a comparison of quantities, not 3"),
         (lambda s: s.generator.pg, {}, "'own': must return a comparison"),
-        (lambda s: 3, {"at_most": 3}, "'own': must return a quantity or a total, to be limited, not 3"),
-        (lambda s: s.generator.pg <= 3, {"at_most": 3}, "is a comparison already; leave out at_least and"),
-        (lambda s: s.generators.pg <= 3, {}, "'own': there is no kind of component 'generators'; did you mean 'gen"),
+        (lambda s: 3, {"at_most": 3}, "'own': must return a quantity .*, not 3"),
+        (lambda s: s.generator.pg <= 3, {"at_most": 3}, "'own': .* comparison; omit at_least and at_most"),
+        (lambda s: s.generators.pg <= 3, {}, "'own': .* kind 'generators'; did you mean 'gen"),
         (lambda s: s.generator.pk <= 3, {}, "'own': generator has no quantity 'pk' here; did you mean|known are"),
         (lambda s: om.total(s.generator.pg) ** 2 <= 3, {}, "'own': a sum cannot be raised to a power"),
         (lambda s: om.total(s.generator.pg) / om.total(s.generator.pg) <= 3, {}, "'own': a sum can be divided by numbers only"),
@@ -173,7 +173,7 @@ def test_misuse_is_said(state, limits, message: str) -> None:
 def test_a_price_of_that_name_is_there_already() -> None:
     made = problem("ac")
     made.constrain("rating", lambda s: s.generator.pg <= 3)
-    with pytest.raises(ModelError, match="there is a price 'rating_price' already"):
+    with pytest.raises(ModelError, match=r"'rating': .*'rating_price'"):
         made.solve()
 
 
@@ -261,17 +261,17 @@ def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("tie.pf", "tei.pf", ":14:20: constraints.export.terms.tei.pf: there is no component and no kind 'tei'; did you mean 'tie'"),
-        ("tie.pf", "branches.pf", "no component and no kind 'branches'; did you mean 'branch'"),
+        ("tie.pf", "tei.pf", ":14:20: constraints.export.terms.tei.pf: .*'tei'; did you mean 'tie'"),
+        ("tie.pf", "branches.pf", "constraints.export.terms.branches.pf: .*'branches'; did you mean 'branch'"),
         ("tie.pf", "pf", "write kind.quantity"),
         ("tie.pf", "tie.ps", "branch has no quantity 'ps' here; known are: angle_max, .*, pf, pt, r, rating"),
         ("tie.pf", '"t*.vm"', "formulation 'dc' does not publish .*vm; formulations that do: ac, ac-rectangular$"),
         ("tie.pf", "bus.vm", ":14:20: .*formulation 'dc' does not publish bus.vm; formulations that do: ac, ac-"),
         ("tie.pf: 1", "tie.pf: x", ":14:20: constraints.export.terms.tie.pf: 'x': the factor must be a finite number"),
         ("tie.pf: 1", "tie.pf: .nan", "must be a finite number"),
-        ("tie.pf: 1", "coal.p_max: 1", ":14:12: constraints.export.terms: no term is a quantity that is decided"),
-        ("tie.pf: 1", "coal.ramp: 1", "coal.ramp has no limit; give it one"),
-        ("tie.pf: 1", "generator.bus: 1", "generator.bus is not a quantity"),
+        ("tie.pf: 1", "coal.p_max: 1", ":14:12: constraints.export.terms: .*fixed data"),
+        ("tie.pf: 1", "coal.ramp: 1", "coal.ramp is unlimited"),
+        ("tie.pf: 1", "generator.bus: 1", "generator.bus is not a numeric quantity"),
         ("{tie.pf: 1}", "{}", "needs at least one term"),
         ("{tie.pf: 1}", "[tie.pf]", "terms: must be a mapping from kind.quantity to factors"),
         ("terms: {tie.pf: 1}, ", "", "terms: must be a mapping"),

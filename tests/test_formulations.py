@@ -1,4 +1,4 @@
-"""Every formulation through every back end that accepts it, held against the others and finite differences."""
+"""Every formulation through every back end that accepts it, against the others and finite differences."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def plan(formulation: str, solver: str = "auto") -> om.Plan:
 
 
 def moving(reference: om.Plan) -> np.ndarray:
-    """Where the value of stored energy is unique: storage works within its limits.
+    """Where the value of stored energy is unique: where storage is within its limits.
 
-    A lossy storage at rest, and any at a limit of power, does the same for a range of values.
+    Lossy storage at rest, and any storage at a power limit, does the same for a range of values.
     """
     data = reference.data
     ps = data["ps"].values.T
@@ -65,9 +65,7 @@ def test_all_formulations_are_here() -> None:
 def test_back_ends_agree(formulation: str, solver: str) -> None:
     """Objective, feasibility and prices; first-order methods stop at residuals a hundred times larger."""
     found, reference = plan(formulation, solver), plan(formulation)
-    if (
-        solver == "qp:highs" and not found.optimal
-    ):  # its active-set method loses its way at times, and says so
+    if solver == "qp:highs" and not found.optimal:  # its active-set method sometimes fails, and reports it
         assert found.status == "stopped"
         pytest.skip(f"HiGHS gave up: {found.termination}")
     rough = solver.partition(":")[2] in FIRST_ORDER
@@ -97,7 +95,7 @@ def test_bounds_between_formulations() -> None:
     assert objective["soc"] <= objective["ac"] * (1 + 1e-7)
     assert objective["copperplate"] <= objective["dc"] * (1 + 1e-7)
     assert objective["dc"] < objective["dc-losses"]
-    assert len({round(value, 1) for value in objective.values()}) >= 4  # they are not one and the same
+    assert len({round(value, 1) for value in objective.values()}) >= 4  # the formulations differ
 
 
 def test_a_relaxation_says_how_far_it_is() -> None:
@@ -163,7 +161,7 @@ def test_a_scenario_runs_in_every_formulation(formulation: str) -> None:
 
 
 def triangle(**changes: Any) -> om.Network:
-    """A cheap and a dear unit, a line between them that is full, storage, and a ramp that binds."""
+    """A cheap and an expensive unit, a congested line between them, storage, and a binding ramp."""
     grid = om.Network("triangle", base_mva=50)
     for name in "abc":
         grid.add(name, om.Bus(vm=(0.94, 1.06), reference=name == "a"))
@@ -209,7 +207,7 @@ def slope(optimum: Callable[[float], float], step: float) -> float:
 
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc", "dc-losses"])
 class TestPrices:
-    """Central differences of optima, with steps over which the active limits do not change."""
+    """Central differences of optima, with steps that leave the active set unchanged."""
 
     @pytest.mark.parametrize(("load", "bus"), [("town", "c"), ("mill", "b")])
     def test_lmp_is_the_cost_of_demand(self, formulation: str, load: str, bus: str) -> None:
@@ -227,7 +225,7 @@ class TestPrices:
         assert -prices[stage] == pytest.approx(found, rel=2e-3)
 
     def test_ramp_prices_add_up_to_the_worth_of_a_faster_ramp(self, formulation: str) -> None:
-        wide = {"short.rating": [200.0] * 4}  # so that the ramp is what binds
+        wide = {"short.rating": [200.0] * 4}  # only the ramp binds
         plan = solved(formulation, wide, cheap={"ramp": 8})
         prices = plan.data["pg_ramp_price"].sel(generator="cheap").values
         assert prices.max() > 0.1
@@ -259,7 +257,7 @@ def test_an_objective_that_needs_voltages_is_refused(formulation: str) -> None:
     with pytest.raises(ModelError) as error:
         problem.solve()
     assert f"Voltage needs vm, which formulation '{formulation}'" in str(error.value)
-    assert "formulations that publish it: ac, ac-rectangular" in str(error.value)
+    assert ": ac, ac-rectangular" in str(error.value)
 
 
 def test_an_objective_that_needs_voltages_is_served() -> None:

@@ -1,4 +1,4 @@
-"""Sizes: what does not fit into memory is refused before anything is allocated."""
+"""Sizes: a problem that does not fit into memory is refused before anything is allocated."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_a_problem_that_is_larger_than_its_series(laptop: None) -> None:
 
 
 def test_nothing_is_allocated_before(tmp_path: Path) -> None:
-    """In a process that may have 4 GB, with what a shell says taking the place of a small machine."""
+    """A process limited to 4 GB stands for a small machine."""
     script = (
         "import resource; resource.setrlimit(resource.RLIMIT_AS, (4 * 10**9, 4 * 10**9))\n"
         "from opfmodel import cli; cli.main()"

@@ -1,4 +1,4 @@
-"""Objectives: their values against formulas written out here, their options, their refusals."""
+"""Objectives: values against formulas written out here, options, and refusals."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_cost_is_the_formula(name: str) -> None:
     plan = solve(objective)
     expected = formula(plan.data)
     assert plan.objective == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    # what was minimised is the same cost, and the regularisation
+    # the solver minimised the same cost plus the regularisation
     extra = plan.problem.regularisation * float((plan.data["ps"] ** 2 + plan.data["qs"] ** 2).sum()) / 1e4
     assert plan.solution.objective == pytest.approx(expected + extra, rel=1e-9, abs=1e-9)
 
@@ -114,14 +114,14 @@ def test_each_objective_drives_the_plan_where_it_should() -> None:
         lambda d: float(((d["vm"] - 1) ** 2).sum())
     )
     e = solve(om.StateOfChargeTracking(0.5)).data["e_next"].sel(storage="cell").values
-    # 10 MW is the most it can give; what is left at the end costs nothing; 0.05 MWh cost 2.5e-7 $
+    # discharging is limited to 10 MW; the final energy costs nothing; 0.05 MWh cost 2.5e-7 $
     assert_allclose(e[:-1], [110, 100, 100, 100], atol=0.05)
     left = {
         price: solve(om.Economic() + om.StoredEnergyValue(price)).data["e_next"].values[-1, 0]
         for price in (0.0, 1000.0)
     }
     assert left[0.0] == pytest.approx(70, abs=1e-3)  # 120 MWh less five hours of 10 MW
-    assert left[1000.0] > 160  # and nearly as much more, but for the rating of the line
+    assert left[1000.0] > 160  # and nearly as much more, except for the rating of the line
 
 
 def _losses(plan: om.Plan) -> float:
@@ -170,10 +170,10 @@ def test_set_points_that_do_not_fit(setpoints: dict, message: str) -> None:
     ("weights", "message"),
     [
         ({"Q": {"pq": 1.0}}, "Q has no quantity 'pq'; known are: e, pg, qg"),
-        ({"Q": [[1.0]]}, r"Q has shape \(1, 1\); \(3, 3\) is needed"),
-        ({"q": {"pg": [1, 2]}}, r"q of pg has shape \(2,\); \(1,\) is needed"),
+        ({"Q": [[1.0]]}, r"Q has shape \(1, 1\); .*\(3, 3\)"),
+        ({"q": {"pg": [1, 2]}}, r"q of pg has shape \(2,\); .*\(1,\)"),
         ({"R": {"ps": "a"}}, "R of ps: must be numbers"),
-        ({"r": {"ps": np.inf}}, "r of ps is not finite"),
+        ({"r": {"ps": np.inf}}, "r of ps: must be finite"),
     ],
 )
 def test_weights_that_do_not_fit(weights: dict, message: str) -> None:

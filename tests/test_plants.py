@@ -1,4 +1,4 @@
-"""AC plants: the physical state behind a plan, against published power flows and the independent check."""
+"""AC plants: the physical state that follows from a plan, against published power flows and the check."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def unhurried() -> om.Network:
     return grid
 
 
-# What an exact plan leaves to do ------------------------------------------------------------------
+# Exact plans --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("delay", [0, 1])
@@ -88,7 +88,7 @@ def test_a_grid_without_generators_lives_on_its_stores(plant: type) -> None:
     assert check(grid, run.data).max_violation <= 1e-6
 
 
-# A simplified plan ----------------------------------------------------------------------------------
+# Simplified plans -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("delay", [0, 1])
@@ -129,7 +129,7 @@ def test_redispatch_keeps_every_limit(formulation: str, delay: int) -> None:
     report = check(scenario.network, data, series(scenario))
     assert report.max_violation < 2e-6, str(report)
     assert np.isfinite(summary["redispatched_mwh"])
-    # reactive power and voltages can be chosen so that the losses are those that dc-losses expects
+    # reactive power and voltages can be chosen to give the losses that dc-losses predicts
     assert summary["redispatched_mwh"] > 1 or formulation == "dc-losses"
     assert summary["shed_mwh"] == pytest.approx(0, abs=1e-2)
     assert summary["violated_steps"] == 0
@@ -174,12 +174,12 @@ def test_a_dc_controller_of_118_buses(plant: type) -> None:
 
 
 def power_flow(grid: om.Network, dispatch: dict[str, float], voltage: dict[str, float], slack: str) -> Step:
-    """The power flow of a dispatch and of voltages at generators, by way of a plan that can do nothing else."""
+    """The power flow for a given dispatch and generator voltages, from a plan without any freedom."""
     for name, power in dispatch.items():
         if name != slack:
             grid.update(name, p=(power, power))
     for bus, vm in voltage.items():
-        grid.update(bus, vm=(vm, vm))  # a plan without voltages takes those of the bus
+        grid.update(bus, vm=(vm, vm))  # without planned voltages, those of the bus are held
     plan = om.MultiStage(grid, formulation="dc").solve()
     return om.PowerFlow({slack: 1.0}).apply(plan)
 
@@ -207,7 +207,7 @@ def matpower_table(path: Path, table: str) -> np.ndarray:
 
 
 def test_the_losses_of_118_buses() -> None:
-    """132.863 MW at the dispatch and voltages of the file, the base case of the reactive-dispatch literature."""
+    """132.863 MW at the dispatch and voltages of the file, the base case in reactive-dispatch papers."""
     path = SCENARIOS / "data" / "case118.m"
     units = matpower_table(path, "gen")
     grid = om.read_network(path)
@@ -310,7 +310,7 @@ def test_a_power_flow_without_solution_is_recorded_and_the_loop_goes_on() -> Non
     problem = om.MultiStage(grid, 2, formulation="dc", profiles={"town.p": [90, 3000, 90, 90]})
     run = om.simulate(problem, om.PowerFlow(), 3)
     assert run.status == "unsolved"
-    assert run.termination.startswith("the plant found no state in 1 of 3 steps, first in step 1: locally")
+    assert run.termination.startswith("the plant found no solution in 1 of 3 steps, first in step 1: locally")
     assert [word == "locally_optimal" for word in run.data["plant_status"].values] == [True, False, True]
     assert np.isnan(run.data["vm"].values[1]).all()
     assert np.isnan(run.data["flow_excess"].values[1]).all()
@@ -373,7 +373,7 @@ def test_redispatch_sheds_what_it_cannot_serve() -> None:
     assert run.status == "done"
     unserved = data["p_unserved"].values[:, 0]
     assert unserved[[0, 1, 3]] == pytest.approx(0, abs=1e-2)
-    # the unit, and the storage, give what they have; power factor 90:30 is kept by what is not served
+    # unit and storage give their maximum; the unserved demand keeps the power factor 90:30
     assert float(data["pg"][2, 0]) - float(data["ps"][2, 0]) <= 210 + 1e-3
     assert unserved[2] > 50
     assert data["q_unserved"].values[2, 0] == pytest.approx(unserved[2] * 30 / 260, rel=1e-6)
@@ -381,7 +381,7 @@ def test_redispatch_sheds_what_it_cannot_serve() -> None:
     assert report.violations["active balance"].value < 1e-6
     assert report.violations["p unserved"].value == pytest.approx(unserved[2] / 100)
     assert summary["shed_mwh"] == pytest.approx(unserved.sum(), abs=0.05)
-    assert summary["elastic_steps"] == 1  # what was seen at step 2 is expected at step 3
+    assert summary["elastic_steps"] == 1  # step 3 is forecast as observed at step 2
     assert list(summary["diagnosis"]) == ["3"]
 
 
@@ -433,7 +433,7 @@ def test_what_is_not_available_is_not_generated_and_what_is_not_used_is_curtaile
     assert curtailed == pytest.approx(np.maximum(available - wind, 0), abs=1e-9)
     assert run.data["pg_curtailed"].sel(generator="coal").values == pytest.approx(0)
     assert run.summary()["curtailed_mwh"] == pytest.approx(curtailed.sum(), abs=1e-2)
-    assert curtailed[2] > 15  # 20 MW were expected at step 2, of 60
+    assert curtailed[2] > 15  # of 60 MW at step 2, 20 were forecast
 
 
 # From step to step ----------------------------------------------------------------------------------
@@ -549,7 +549,7 @@ def test_mistakes_in_a_plant(plant: dict[str, object], message: str) -> None:
         scenario(plant=plant)
 
 
-# Devices of others ------------------------------------------------------------------------------------
+# Devices of other packages ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

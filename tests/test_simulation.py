@@ -1,4 +1,4 @@
-"""The closed loop: the paper's 5-bus system, failures, and what is recorded."""
+"""The closed loop: the paper's 5-bus system, failures, and the records of a run."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_single_stage_is_without_storage_and_ramps() -> None:
     assert sequence.data["pg"].values[0, 0] > 100
 
 
-# Economic control beside tracking -------------------------------------------------------------------
+# Economic and tracking control ----------------------------------------------------------------------
 
 
 def test_a_cost_that_cannot_be_had_leaves_the_others(tmp_path: Path) -> None:

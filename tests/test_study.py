@@ -217,7 +217,7 @@ def pair(tmp_path: Path) -> Path:
             f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
             "{constraints.b: [{terms: {generator.p_max: 1}, at_most: 1}]}",
             "{terms: {generator",
-            "no term is a quantity that is decided",
+            "fixed data",
         ),
         (f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}", f"{{plant: [{NOBODY}]}}", NOBODY, "'nobody'"),
     ],

@@ -1,4 +1,4 @@
-"""Warm starts: they save iterations, change no result, and a failure climbs down a recorded ladder."""
+"""Warm starts: they save iterations and change no result; failed solves are repeated and recorded."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_options_of_the_user_win_over_those_of_the_situation() -> None:
 
 
 def failing(problem: om.MultiStage, monkeypatch: pytest.MonkeyPatch, *starts: str, step: int = 1) -> None:
-    """Let the solves of one step fail that begin in one of these ways."""
+    """Make the solves of one step fail that begin in one of these ways."""
     solve = om.MultiStage.solve
 
     def flaky(self, time: int, state: dict, previous: Plan | None = None, **options) -> Plan:

@@ -1,1 +1,1 @@
-"""Devices: what is connected to a bus, one file each, convex in every formulation."""
+"""Devices: components connected to a bus, one file each, convex in every formulation."""

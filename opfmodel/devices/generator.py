@@ -21,7 +21,7 @@ class GeneratorDevice(Device):
         p_{min} \le p^g \le p_{max}, \quad q_{min} \le q^g \le q_{max}, \quad
         |p^g(k) - p^g(k-1)| \le \Delta\, ramp
 
-    Cost: :math:`c_2 (p^g)^2 + c_1 p^g + c_0`, or the largest of the lines of a convex
+    Cost: :math:`c_2 (p^g)^2 + c_1 p^g + c_0`, or the maximum over the segments of a convex
     piecewise-linear cost.
     """
 
@@ -40,7 +40,7 @@ class GeneratorDevice(Device):
         model.inject(table.bus, p=pg, q=qg)
 
     def cost(self, stage: Stage) -> Any:
-        """Cost of active generation, $/h."""
+        """Return the cost of active generation, $/h."""
         g = stage.generator
         cost = total(g.c2 * g.pg**2 + g.c1 * g.pg + g.c0)
         owners, owner = np.unique(g.segment_owner, return_inverse=True)

@@ -14,12 +14,12 @@ __all__ = ["LoadDevice"]
 
 
 class LoadDevice(Device):
-    r"""Demand ``p + jq`` that is served as it is; a parameter of every solve.
+    r"""Fixed demand ``p + jq``, a parameter of every solve.
 
-    In an elastic problem a share of each load may be left unserved, active and reactive alike, at
-    the price of shedding times its apparent power. Which of the two the bus lacks is told by their
-    prices :math:`\lambda` where the shortage is least: reactive power where
-    :math:`\lambda_q q > \lambda_p p`.
+    In an elastic problem a share of each load may be left unserved, active and reactive alike, at the
+    shedding price times its apparent power. The shortfall is reported as reactive where
+    :math:`\lambda_q q > \lambda_p p` and as active otherwise, with the prices :math:`\lambda` of the
+    minimum-penalty solution.
     """
 
     component = Load
@@ -33,18 +33,18 @@ class LoadDevice(Device):
 
     @staticmethod
     def _shed(model: Model, table: Table, p: Expression, q: Expression) -> None:
-        """Leave a share of each load unserved."""
+        """Allow a share of each load to be left unserved."""
         share = model.variable("load", "unserved", 0.0, 1.0, unit="", start=0.0, publish=False)
         active, reactive = p * share, q * share
         model.inject(table.bus, p=active, q=reactive)
         soft = model.soft_balance(table.bus, "MW", "shedding")
         apparent = np.sqrt(p**2 + q**2) if model.reactive else np.sqrt(p**2)
         model.penalise(model.penalty(soft) * apparent * share)
-        model.report("load", "p_unserved", active, unit="MW", description="active demand not served")
+        model.report("load", "p_unserved", active, unit="MW", description="unserved active demand")
         if not model.reactive:
             model.slacks["p_unserved"] = Slack("p_unserved", "bus", soft, Side.BELOW)
             return
-        model.report("load", "q_unserved", reactive, unit="MVAr", description="reactive demand not served")
+        model.report("load", "q_unserved", reactive, unit="MVAr", description="unserved reactive demand")
         soft_q = model.soft_balance(table.bus, "MVAr", "shedding")
 
         def lacks_reactive(least: Solution, network: PerUnitNetwork) -> npt.NDArray[np.bool_]:

@@ -12,20 +12,20 @@ from solvers import Expression, Rows
 
 __all__ = ["StorageDevice"]
 
-_OVERLAP = 1e-6  # p_c p_d in units of the largest product: an exact zero has no interior for IPOPT
+_OVERLAP = 1e-6  # p_c p_d relative to its maximum: an exact zero would leave IPOPT no interior
 
 
 class StorageDevice(Device):
-    r"""Stores with efficiencies, standing loss and an optional inverter circle.
+    r"""Storages with efficiencies, standing loss and an optional inverter circle.
 
-    Positive power charges. Without losses :math:`e(k+1) = e(k) + \Delta\, p^s(k)`. With them
+    Positive power charges. Without losses :math:`e(k+1) = e(k) + \Delta\, p^s(k)`. With losses
 
     .. math::
         p^s = p^c - p^d, \quad p^c, p^d \ge 0, \quad
         e(k+1) = (1 - \sigma \Delta)\, e(k) + \Delta\, (\eta_c p^c - p^d / \eta_d)
 
-    which is a relaxation: charging and discharging at once would waste energy, and pays only
-    where energy has a negative value. ``exclusive`` forbids it (:math:`p^c p^d \\le \\epsilon`), at
+    which is a relaxation: simultaneous charging and discharging wastes energy, and pays only
+    where energy has a negative value. ``exclusive`` forbids it (:math:`p^c p^d \le \epsilon`), at
     the price of a non-convex row.
     """
 
@@ -63,7 +63,7 @@ class StorageDevice(Device):
             first = gone[0]
             raise IncompatibleError(
                 f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
-                f"there is within a stage of {step:g} h; it must be at most {1.0 / step:g} per hour"
+                f"is stored in a stage of {step:g} h; must be at most {1.0 / step:g} per hour"
             )
         change = e[:, 1:] - kept * e[:, :-1]
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
@@ -83,7 +83,7 @@ class StorageDevice(Device):
 
     @staticmethod
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:
-        """Charging and discharging power of the storages that lose energy in between."""
+        """Split the power of storages with losses into charging and discharging."""
         n, stages, step = split.size, model.stages, model.step
         most_charge = np.maximum(table.power_max[split], 0.0)
         most_discharge = np.maximum(-table.power_min[split], 0.0)
@@ -100,10 +100,10 @@ class StorageDevice(Device):
 
 
 def _lowest(table: Table) -> Array:
-    """Least charging power where there is no reactive power to share the rating with."""
+    """Return the minimum charging power if no reactive power shares the rating."""
     return np.asarray(np.maximum(table.power_min, -table.rating))
 
 
 def _highest(table: Table) -> Array:
-    """Largest charging power where there is no reactive power to share the rating with."""
+    """Return the maximum charging power if no reactive power shares the rating."""
     return np.asarray(np.minimum(table.power_max, table.rating))

@@ -28,7 +28,7 @@ class AC(Formulation):
         |S_f|, |S_t| \le rating, \quad \theta_{min} \le \theta \le \theta_{max}
 
     with :math:`\theta = \theta_f - \theta_t`. Source: Zimmerman and Murillo-Sánchez, MATPOWER
-    User's Manual, section 3 and 6.1.
+    User's Manual, sections 3 and 6.1.
     """
 
     name = "ac"

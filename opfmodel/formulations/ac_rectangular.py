@@ -22,12 +22,12 @@ __all__ = ["ACRectangular"]
 class ACRectangular(Formulation):
     r"""AC power flow in real and imaginary parts of the voltages; exact, non-convex.
 
-    The flows of :class:`opfmodel.formulations.ac.AC` with the products
+    The flows are those of :class:`opfmodel.formulations.ac.AC` with the products
 
     .. math::
         w = e^2 + f^2, \quad w_r = e_f e_t + f_f f_t, \quad w_i = f_f e_t - e_f f_t
 
-    so that every equation is quadratic, and the limits :math:`v_{min}^2 \le w \le v_{max}^2` are
+    Every equation is quadratic, and the limits :math:`v_{min}^2 \le w \le v_{max}^2` are
     non-convex rows. Source: the ACR form of PowerModels.jl.
     """
 

@@ -1,4 +1,4 @@
-"""What a formulation is."""
+"""The base class of formulations, and the declarations that they share."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = [
 
 
 class Formulation:
-    """Bus variables, branch physics and network limits; one class in one file.
+    """Bus variables, branch physics and network limits; one class per file.
 
     Registered by an entry point in the group ``opfmodel.formulations``.
 
@@ -48,15 +48,15 @@ class Formulation:
     publishes: ClassVar[tuple[str, ...]]
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
-        """Balance row of each bus: by default each its own."""
+        """Return the balance row of each bus; by default one per bus."""
         return np.arange(len(network.bus))
 
     def declare(self, model: Model) -> None:
-        """Declare the variables of the network, add branch flows to the balance, state limits."""
+        """Declare the variables of the network, add branch flows to the balance, and set the limits."""
         raise NotImplementedError
 
     def relaxation(self, solution: Solution, network: PerUnitNetwork) -> dict[str, float]:  # noqa: ARG002
-        """How far a solution is from the equations that are relaxed, by name; empty where none are."""
+        """Return the deviation of a solution from the relaxed equations, by name; empty if there are none."""
         return {}
 
 
@@ -69,7 +69,7 @@ def angles(model: Model) -> Expression:
 
 
 def shunts(model: Model, vm_squared: Expression | float) -> None:
-    """Take what shunts draw at a squared voltage out of the balance of their buses."""
+    """Subtract the power drawn by shunts at a squared voltage from the balance of their buses."""
     shunt = model.network.shunt
     if not len(shunt):
         return
@@ -96,10 +96,9 @@ def publish_flows(
 
 
 def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: Expression) -> None:
-    """Take branch flows out of the balance of their buses and limit the apparent power at both ends.
+    """Subtract branch flows from the balance of their buses, and limit the apparent power at both ends.
 
-    The flows of a branch share most of their formula, so that balance and limits of a branch are
-    one template.
+    The flows of a branch share most of their expressions, so its balance and limits are one template.
     """
     branch = model.network.branch
     assert model.balance_q is not None
@@ -137,7 +136,7 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
 
 
 def limit_flows(model: Model, **flows: Expression) -> None:
-    """Limit active flows in both directions where branches have a rating; one block of rows each."""
+    """Limit active flows in both directions on branches with a rating; one block of rows each."""
     members = np.flatnonzero(np.isfinite(model.network.branch.rating))
     if not members.size:
         return
@@ -154,7 +153,7 @@ def limit_flows(model: Model, **flows: Expression) -> None:
 
 
 def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnitNetwork], Array]) -> None:
-    """Report what one more MVA of rating is worth; ``read`` gives it for the branches ``members``."""
+    """Report the value of one more MVA of rating; ``read`` returns it for the branches ``members``."""
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
         price = np.zeros((len(network.branch), model.stages))
@@ -165,7 +164,7 @@ def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnit
 
 
 def limit_angle(model: Model, angle: Expression) -> None:
-    """Limit the angle across the branches that have such a limit."""
+    """Limit the angle difference across the branches that have such a limit."""
     members = _angle_limited(model)
     if members.size:
         model.rows(
@@ -179,7 +178,7 @@ def limit_angle(model: Model, angle: Expression) -> None:
 
 
 def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
-    r"""Limit the angle across branches in terms of the products of their voltages.
+    r"""Limit the angle difference across branches in terms of voltage products.
 
     :math:`\theta \ge a` is :math:`w_i \cos a - w_r \sin a \ge 0`, and likewise at the upper end, as long
     as the two limits are at most 180 degrees apart.
@@ -195,26 +194,26 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
         raise IncompatibleError(
             f"{branch.names[members[first]]}: angle = ({np.rad2deg(low[first, 0]):g}, "
             f"{np.rad2deg(high[first, 0]):g}): limits "
-            "more than 180 degrees apart cannot be stated in products of voltages; "
-            "tighten them, or drop them by (-360, 360)"
+            "more than 180 degrees apart cannot be expressed in voltage products; "
+            "tighten them, or remove them with (-360, 360)"
         )
     real, imaginary = w_r[members], w_i[members]
     above = np.cos(low) * imaginary - np.sin(low) * real
     below = np.cos(high) * imaginary - np.sin(high) * real
-    soft = _soft_angle(members)  # in products of voltages near 1 p.u. the excess is that of the angle
+    soft = _soft_angle(members)  # near 1 p.u. the excess in products is that of the angle
     model.rows("branch", "angle_above", above, 0.0, np.inf, soft)
     model.rows("branch", "angle_below", below, -np.inf, 0.0, soft)
 
 
 def soft_voltage(model: Model, squared: bool = False) -> Soft:
-    """How the voltage limits of all buses give way in an elastic problem."""
+    """Return how the voltage limits of all buses are softened in an elastic problem."""
     buses = np.arange(len(model.network.bus))
     below, above = "is {} below its minimum voltage", "is {} over its maximum voltage"
     return Soft("voltage", buses, "p.u.", below, above, squared=squared)
 
 
 def soft_rating(members: Index, squared: bool = False, ends: int = 2) -> Soft:
-    """How the ratings of branches, stated at one end or both, give way in an elastic problem."""
+    """Return how the ratings of branches, limited at one or both ends, are softened in an elastic problem."""
     sentence = "exceeds its rating by {}"
     return Soft("rating", members, "MVA", sentence, sentence, squared=squared, share=1.0 / ends)
 
@@ -224,6 +223,6 @@ def _soft_angle(members: Index) -> Soft:
 
 
 def _angle_limited(model: Model) -> Index:
-    """Branches with a limit on the angle across them."""
+    """Return the branches with a limit on the angle difference."""
     branch = model.network.branch
     return np.flatnonzero((branch.angle_min > -2 * np.pi) | (branch.angle_max < 2 * np.pi))

@@ -1,4 +1,4 @@
-"""No network at all."""
+"""The copperplate formulation."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["Copperplate"]
 
 
 class Copperplate(Formulation):
-    """One active balance per island: dispatch without a network; linear.
+    """One active balance per island, without a network; linear.
 
-    Neglects branches, losses, reactive power and voltages; shunts draw their power at 1 p.u. It is
-    the economic dispatch, and a lower bound on lossless formulations.
+    Neglects branches, losses, reactive power and voltages; shunts draw their power at 1 p.u. This is
+    economic dispatch, and a lower bound on lossless formulations.
     """
 
     name = "copperplate"
@@ -24,9 +24,9 @@ class Copperplate(Formulation):
     publishes = ()
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
-        """One balance per island."""
+        """Return the island of each bus."""
         return network.island
 
     def declare(self, model: Model) -> None:
-        """State nothing but the power that shunts draw."""
+        """Declare the power drawn by shunts, and nothing else."""
         shunts(model, 1.0)

@@ -14,7 +14,7 @@ __all__ = ["DC", "DCMatpower"]
 
 
 class DC(Formulation):
-    r"""DC power flow as PowerModels' DCP, which gives the DC column of PGLib; linear.
+    r"""DC power flow in PowerModels' DCP form, which gives the DC column of PGLib; linear.
 
     .. math::
         p_f = -p_t = \frac{x}{r^2 + x^2} (\theta_f - \theta_t)
@@ -28,7 +28,7 @@ class DC(Formulation):
     publishes = ("va", "pf", "pt")
 
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
-        """Flow from the from end to the to end, given the angle across each branch."""
+        """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
         susceptance: Array = branch.x / (branch.r**2 + branch.x**2)
         return angle * susceptance
@@ -48,7 +48,7 @@ class DC(Formulation):
 
 
 class DCMatpower(DC):
-    r"""DC power flow as MATPOWER's, with taps and phase shifts; linear.
+    r"""DC power flow in MATPOWER's form, with taps and phase shifts; linear.
 
     .. math::
         p_f = -p_t = \frac{1}{x \tau} (\theta_f - \theta_t - \phi)
@@ -60,7 +60,7 @@ class DCMatpower(DC):
     name = "dc-matpower"
 
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
-        """Flow from the from end to the to end, given the angle across each branch."""
+        """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
         without = np.flatnonzero(branch.x == 0.0)
         if without.size:

@@ -9,7 +9,7 @@ from opfmodel.model import Model
 
 __all__ = ["DCLosses"]
 
-_SCALE = 0.01  # of a loss in p.u., so that the entries of its cone are of one magnitude
+_SCALE = 0.01  # p.u. of loss; gives the entries of its cone similar magnitudes
 
 
 class DCLosses(Formulation):
@@ -19,8 +19,8 @@ class DCLosses(Formulation):
         p_f = b\theta + \tfrac{1}{2} l, \quad p_t = -b\theta + \tfrac{1}{2} l, \quad
         l \ge g \theta^2, \quad g + jb' = \frac{1}{r + jx}, \quad b = -b'
 
-    The loss is the second-order term of the AC loss at flat voltages. Where energy has a positive
-    price the inequality is tight; where it has none, fictitious losses may absorb power. Neglects
+    The loss is the second-order term of the AC loss at flat voltages. The inequality is tight where
+    energy has a positive price; elsewhere fictitious losses may absorb power. Neglects
     reactive power, voltage magnitudes (1 p.u.), taps and phase shifts. Source: C. Coffrin, P. Van
     Hentenryck and R. Bent, "Approximating line losses and apparent power in AC power flow
     linearizations", IEEE PES General Meeting 2012.
@@ -43,7 +43,7 @@ class DCLosses(Formulation):
         upper = np.where(conductance > 0, np.inf, 0.0)
         loss = model.variable("branch", "loss", 0.0, upper, unit="MW", description="active losses", start=0.0)
         if lossy.size:
-            # 4 g theta^2 + (1 - l)^2 <= (1 + l)^2 says l >= g theta^2
+            # 4 g theta^2 + (1 - l)^2 <= (1 + l)^2 means l >= g theta^2
             scaled = loss[lossy] / _SCALE
             root = 2.0 * np.sqrt(conductance[lossy] / _SCALE)
             model.build.cone("branch_loss", 1.0 + scaled, 1.0 - scaled, root * angle[lossy])

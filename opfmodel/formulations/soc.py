@@ -25,18 +25,18 @@ __all__ = ["SOC"]
 
 
 class SOC(Formulation):
-    r"""SOCWR: Jabr's relaxation in the products of the voltages; convex.
+    r"""Jabr's relaxation in voltage products (SOCWR); convex.
 
     The flows of :class:`opfmodel.formulations.ac.AC` are linear in :math:`w = v^2` at the buses
     and in :math:`w_r = v_i v_j \cos\theta`, :math:`w_i = v_i v_j \sin\theta` of each pair of
-    neighbours; of what ties the three together only
+    neighbours. Of the relations between the three, only
 
     .. math::
         w_r^2 + w_i^2 \le w_i w_j
 
     is kept, with the angle-difference limits, the bounds of the products that follow from the
-    bounds of voltages and angles, and the lifted nonlinear cuts of the two. It is exact on radial
-    networks under mild conditions, and its optimum is a lower bound on that of the AC equations.
+    bounds of voltages and angles, and the lifted nonlinear cuts of the two. The relaxation is exact on
+    radial networks under mild conditions, and its optimum is a lower bound on that of the AC equations.
     Sources: R. Jabr, "Radial distribution load flow using conic programming", IEEE Trans. Power
     Systems 21(3), 2006; the SOCWR form of PowerModels.jl; for the cuts C. Coffrin, H. Hijazi and
     P. Van Hentenryck, "Strengthening the SDP relaxation of AC power flows with convex envelopes,
@@ -48,7 +48,7 @@ class SOC(Formulation):
     publishes = ("w", "pf", "qf", "pt", "qt")
 
     def declare(self, model: Model) -> None:
-        """Declare ``w`` and the products of neighbours; report ``vm = sqrt(w)``."""
+        """Declare ``w`` and the voltage products of neighbours; report ``vm = sqrt(w)``."""
         network = model.network
         bus, branch = network.bus, network.branch
         start = np.clip(1.0, bus.vm_min, bus.vm_max) ** 2
@@ -97,9 +97,9 @@ class SOC(Formulation):
         model.report("branch", "wi", branch_i, unit="p.u.^2", description="imaginary product of the voltages")
 
     def relaxation(self, solution: Solution, network: PerUnitNetwork) -> dict[str, float]:
-        """Largest slack of a cone (p.u.) and largest angle (degrees) that does not close around a loop.
+        """Return the largest cone slack (p.u.) and the largest angle mismatch around a loop (degrees).
 
-        The relaxation is exact where both vanish; on a radial network there are no loops.
+        The relaxation is exact if both vanish; a radial network has no loops.
         """
         if not len(network.branch):
             return {"largest_cone_slack": 0.0, "largest_angle_mismatch": 0.0}
@@ -114,7 +114,7 @@ class SOC(Formulation):
 
 @dataclass(frozen=True)
 class _Neighbours:
-    """Pairs of buses that branches connect, and how the branches lie on them.
+    """Pairs of buses connected by branches, and the orientation of the branches.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class _Neighbours:
     pair, sign
         Pair of each branch, and 1 if it runs from first to second, -1 otherwise.
     low, high
-        Range of the angle of each pair, the tightest of parallel branches; within ±pi.
+        Angle range of each pair, the tightest of parallel branches; within ±pi.
     """
 
     first: Index
@@ -135,7 +135,7 @@ class _Neighbours:
 
     @classmethod
     def of(cls, network: PerUnitNetwork) -> _Neighbours:
-        """The neighbours of a network."""
+        """Return the neighbours of a network."""
         branch = network.branch
         ends = np.column_stack([branch.from_bus, branch.to_bus])
         pairs, pair = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
@@ -147,10 +147,10 @@ class _Neighbours:
         return cls(pairs[:, 0], pairs[:, 1], pair, np.where(along, 1.0, -1.0), low, high)
 
     def product_bounds(self, least: Array, most: Array) -> tuple[Array, Array, Array, Array]:
-        """Lower and upper bounds of ``w_r``, then of ``w_i``, for magnitudes with products in a range.
+        """Return bounds of ``w_r``, then of ``w_i``, for a range of the product of the magnitudes.
 
-        Cosine and sine take their extremes over an interval at its ends or at a stationary point
-        inside it, and their products with a magnitude at an end of its range.
+        Cosine and sine take their extremes over an interval at its ends or at a stationary point inside
+        it; their products with a magnitude do so at an end of its range.
         """
         bounds = []
         for function, peaks in ((np.cos, (0.0,)), (np.sin, (-np.pi / 2, np.pi / 2))):
@@ -167,7 +167,7 @@ class _Neighbours:
 
 
 def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
-    """Largest difference between angles across branches and the bus angles that fit them best."""
+    """Return the largest difference between branch angles and the bus angles that fit them best."""
     branch, n = network.branch, len(network.bus)
     rows = np.arange(len(branch))
     across = sp.coo_array(
@@ -184,9 +184,9 @@ def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
 
 
 def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi: Expression) -> None:
-    r"""State the lifted nonlinear cuts of pairs whose angle is limited to less than 180 degrees.
+    r"""Add the lifted nonlinear cuts of pairs whose angle range is less than 180 degrees.
 
-    With :math:`\phi` and :math:`\delta` the middle and half of the angle's range and
+    With :math:`\phi` and :math:`\delta` the middle and half-width of the angle range and
     :math:`\sigma = v_{min} + v_{max}` at each end, they bound
     :math:`\sigma_i \sigma_j (w_r \cos\phi + w_i \sin\phi)` from below by planes in
     :math:`w_i, w_j` that touch the feasible set at the corners of the voltage box.

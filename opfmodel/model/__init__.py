@@ -1,8 +1,8 @@
-"""What devices, formulations and objectives see and declare.
+"""The modelling interface of devices, formulations and objectives.
 
-A :class:`Model` collects the declarations of one plan into a program. A :class:`NumericStage`
-offers the same quantities as arrays, so that the text of a cost is compiled for a solver and
-evaluated on a trajectory without being written twice.
+A :class:`Model` collects the declarations of one plan into a program. A :class:`NumericStage` offers
+the same quantities as arrays, so a cost is written once, compiled for a solver and evaluated on a
+trajectory.
 """
 
 from opfmodel.model.constraint import CustomConstraint, Linear, PhysicalStage

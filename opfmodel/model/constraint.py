@@ -1,4 +1,4 @@
-"""Custom constraints: what they limit, the limits, and the rows that they become."""
+"""Custom constraints: the limited quantity, its limits, and the resulting rows."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CustomConstraint:
-    """A constraint of a user: a function of the stage, and limits that may change from step to step.
+    """A user-defined constraint: a function of the stage, and limits that may vary over time.
 
     Attributes
     ----------
     state
-        Gives, from a stage in physical units, a comparison; or a quantity or total for the limits below.
-        :class:`Linear` is one such function.
+        Function of a stage in physical units. It returns a comparison, or a quantity or total to which
+        the limits below apply. :class:`Linear` is one such function.
     at_least, at_most
-        Limits in physical units: a number, or one value per time step; infinite where there is none.
+        Limits in physical units: a number, or one value per time step; infinite if absent.
     """
 
     name: str
@@ -50,12 +50,12 @@ class CustomConstraint:
         at_least: npt.ArrayLike | None = None,
         at_most: npt.ArrayLike | None = None,
     ) -> CustomConstraint:
-        """A constraint with its limits checked.
+        """Create a constraint and check its limits.
 
         Raises
         ------
         ConstraintError
-            A limit is not a number or a vector of them, or the two cross; ``key`` names the limit.
+            A limit is not a number or a vector of numbers, or the two limits cross; ``key`` names the limit.
         """
         lower, upper = _limit("at_least", at_least, -np.inf), _limit("at_most", at_most, np.inf)
         steps = min((limit.size for limit in (lower, upper) if limit.ndim), default=1)
@@ -70,7 +70,7 @@ class CustomConstraint:
 
     @property
     def limited(self) -> bool:
-        """Whether limits were given beside the function."""
+        """Whether limits were given in addition to the function."""
         return bool(np.isfinite(self.at_least).any() or np.isfinite(self.at_most).any())
 
     @property
@@ -80,11 +80,11 @@ class CustomConstraint:
 
     @property
     def rows(self) -> str:
-        """Name of its rows, which no quantity of a formulation or device has."""
+        """Name of the rows, distinct from every quantity of a formulation or device."""
         return f"constraint {self.name}"
 
     def window(self, start: int, stages: int) -> tuple[Array, Array]:
-        """Limits of the stages from a step on.
+        """Return the limits of ``stages`` stages from step ``start``.
 
         Raises
         ------
@@ -102,14 +102,14 @@ class CustomConstraint:
         return limits[0], limits[1]
 
     def declare(self, model: Model) -> None:
-        """State the rows, let them give way in an elastic problem, and report their price.
+        """Add the rows, make them soft in an elastic problem, and report their shadow price.
 
         Raises
         ------
         QuantityError
-            It uses a quantity that is not published.
+            The function uses a quantity that is not published.
         ModelError, SolverError
-            It does not return what it must, or what it returns cannot be stated.
+            The function does not return a comparison, quantity or total, or the program cannot express it.
         """
         stated = self._stated(model)
         rows = model.build.constrain(self.rows, stated)
@@ -124,28 +124,28 @@ class CustomConstraint:
             model.price(
                 "" if items == 1 else f"{self.name}_item", f"{self.name}_price",
                 lambda solution, _: -solution.dual(rows.name) / model.step,
-                "$/h", f"rise of the cost when the right-hand side of {self.name!r} rises by one unit",
+                "$/h", f"increase in cost per unit increase of the right-hand side of {self.name!r}",
             )  # fmt: skip
         elif self.limited:
-            raise ModelError("at_least and at_most are for all stages; write >= or <=")
+            raise ModelError("at_least and at_most apply to every stage; use >= or <= for some of them")
 
     def _stated(self, model: Model) -> Constraint:
-        """The comparison that the function makes, or one whose limits every solve states."""
+        """Return the comparison given by the function, or one whose limits are set in every solve."""
         stated = self.state(PhysicalStage(model))
         if f"{self.name}_price" in model.prices:
-            raise ModelError(f"there is a price '{self.name}_price' already; take another name")
+            raise ModelError(f"the price '{self.name}_price' already exists; choose another name")
         if isinstance(stated, Expression | Sum) and self.limited:
             return Constraint(stated, -np.inf, np.inf)
         if not isinstance(stated, Constraint):
-            wanted = "a quantity or a total, to be limited" if self.limited else "a comparison of quantities"
+            wanted = "a quantity or a total" if self.limited else "a comparison of quantities"
             raise ModelError(f"must return {wanted}, not {stated!r}")
         if self.limited:
-            raise ModelError("is a comparison already; leave out at_least and at_most")
+            raise ModelError("already returns a comparison; omit at_least and at_most")
         return stated
 
 
 def _limit(side: str, given: npt.ArrayLike | None, absent: float) -> Array:
-    """A limit as a number or a vector over time steps."""
+    """Return a limit as a number or a vector over time steps."""
     values = np.asarray(absent if given is None else given)
     if values.ndim > 1 or values.dtype.kind not in "if" or np.isnan(values).any():
         raise ConstraintError(f"{side} = {given!r}: must be a number or one number per time step", side)
@@ -153,7 +153,7 @@ def _limit(side: str, given: npt.ArrayLike | None, absent: float) -> Array:
 
 
 class PhysicalStage:
-    """A model whose quantities are in physical units, for users' constraints."""
+    """A model with quantities in physical units, for custom constraints."""
 
     def __init__(self, model: Model) -> None:
         self.network = model.network
@@ -164,7 +164,7 @@ class PhysicalStage:
         if kind.startswith("_"):
             raise AttributeError(kind)
         if kind not in self.network.tables:
-            raise ModelError(f"there is no kind of component {kind!r}; {nearest(kind, self.network.tables)}")
+            raise ModelError(f"there is no component kind {kind!r}; {nearest(kind, self.network.tables)}")
         return _PhysicalQuantities(self._model, kind)
 
     def has(self, name: str) -> bool:
@@ -173,7 +173,7 @@ class PhysicalStage:
 
     @property
     def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h."""
+        """Operating cost of all devices, $/h."""
         return self._model.operating_cost
 
 
@@ -212,21 +212,21 @@ class Linear:
     Parameters
     ----------
     terms
-        Factors :math:`f_t` by what they multiply: ``kind.quantity`` for all components of a kind
-        (``generator.pg``), ``component.quantity`` for one (``coal.pg``), or a pattern with stars
-        (``gas*.pg``). Quantities are published ones and fields of the network (``p_max``, with
-        its time series). What is out of service counts as zero.
+        Factors :math:`f_t` by term: ``kind.quantity`` for all components of a kind (``generator.pg``),
+        ``component.quantity`` for one component (``coal.pg``), or a pattern with stars (``gas*.pg``). A
+        quantity is either published or a field of the network (``p_max``, with its time series).
+        Components out of service count as zero.
 
     Examples
     --------
-    The spinning reserve, to be limited from below::
+    A minimum spinning reserve::
 
         problem.constrain("reserve", Linear({"generator.p_max": 1, "generator.pg": -1}), at_least=100)
     """
 
     def __init__(self, terms: Mapping[str, float]) -> None:
         if not terms:
-            raise ConstraintError("needs at least one term, for instance generator.pg: 1", "terms")
+            raise ConstraintError("needs at least one term, such as generator.pg: 1", "terms")
         for key, factor in terms.items():
             if isinstance(factor, bool) or not isinstance(factor, int | float) or not bounded(factor):
                 raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
@@ -238,22 +238,24 @@ class Linear:
         self.terms = dict(terms)
 
     def __call__(self, stage: Stage) -> Sum:
-        """The total, from the quantities of a stage in physical units.
+        """Return the total for a stage in physical units.
 
         Raises
         ------
         ConstraintError
-            A term names nothing in the network, or a number that is infinite; or no term is decided.
+            A term matches nothing in the network or is infinite, or every term is fixed data.
         QuantityError
-            A quantity is not published here.
+            A quantity is not published.
         """
         result = sum((self.term(stage, key) for key in self.terms), start=0.0)
         if not isinstance(result, Sum):
-            raise ConstraintError("no term is a quantity that is decided", "terms")
+            raise ConstraintError(
+                "every term is fixed data; include a decision variable, such as generator.pg", "terms"
+            )
         return result
 
     def term(self, stage: Stage, key: str) -> Any:
-        """One term: a :class:`solvers.Sum`, or numbers if nothing in it is decided."""
+        """Return one term: a :class:`solvers.Sum`, or numbers if it is fixed data."""
         owner, _, quantity = key.rpartition(".")
         result: Any = 0.0
         for kind, members in _select(stage, owner, quantity, key):
@@ -262,7 +264,7 @@ class Linear:
 
 
 def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str, Index]]:
-    """Kinds and positions of the components that the first part of a term stands for."""
+    """Return the kinds and positions of the components that the first part of a term matches."""
     tables = stage.network.tables
     if owner in tables and not any(owner in table.position for table in tables.values()):
         return [(owner, np.arange(len(tables[owner])))]
@@ -274,19 +276,19 @@ def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str
     found = [(kind, index) for kind, index in members.items() if index.size]
     if not found and owner not in stage.network.left_out:
         near = nearest(owner, [*tables, *(name for table in tables.values() for name in table.names)])
-        raise ConstraintError(f"there is no component and no kind {owner!r}; {near}", "terms", key)
+        raise ConstraintError(f"there is no component or kind {owner!r}; {near}", "terms", key)
     having = [(kind, index) for kind, index in found if quantity in getattr(stage, kind)]
-    return having or found  # where none has the quantity, the first says so
+    return having or found  # if none has the quantity, the first one raises the error
 
 
 def _values(stage: Stage, kind: str, quantity: str, members: Index, key: str) -> Any:
-    """Values of a quantity of some components, decided or given."""
+    """Return the values of a quantity for some components: decision variables or data."""
     values = getattr(getattr(stage, kind), quantity)[members]
     if isinstance(values, np.ndarray):
         if values.dtype.kind != "f" or values.ndim != 2:
-            raise ConstraintError(f"{kind}.{quantity} is not a quantity", "terms", key)
+            raise ConstraintError(f"{kind}.{quantity} is not a numeric quantity", "terms", key)
         endless = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if endless.size:
             name = stage.network.tables[kind].names[members[endless[0]]]
-            raise ConstraintError(f"{name}.{quantity} has no limit; give it one", "terms", key)
+            raise ConstraintError(f"{name}.{quantity} is unlimited; set a finite limit", "terms", key)
     return values

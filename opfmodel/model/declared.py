@@ -1,4 +1,4 @@
-"""What is declared in a model, as plain values: quantities, prices, injections, states, sources of bounds."""
+"""Declarations of a model as plain values: quantities, prices, injections, states and bounds."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Bound = str | float | npt.NDArray[Any] | Callable[[Table], npt.NDArray[Any]]
 
 @dataclass(frozen=True)
 class Published:
-    """A quantity that a plan reports and others may use.
+    """A quantity that plans report and that objectives and constraints may use.
 
     Attributes
     ----------
     kind
-        Kind of component, which is also the dimension in results.
+        Kind of component, also the dimension in results.
     values
         Expression of shape ``(items, stages)`` in per unit.
     """
@@ -39,12 +39,12 @@ class Published:
 
 @dataclass(frozen=True)
 class Price:
-    """A shadow price that plans report, read from the multipliers of a solution.
+    """A shadow price that plans report, computed from the multipliers of a solution.
 
     Attributes
     ----------
     read
-        Gives the price as an array ``(items, stages)`` in $ and per unit.
+        Function that returns the price as an array ``(items, stages)`` in $ and per unit.
     """
 
     kind: str
@@ -55,12 +55,12 @@ class Price:
 
 @dataclass(frozen=True)
 class Injection:
-    """Power that one kind of device feeds into the buses; several of a kind add up.
+    """Power injected at the buses by one kind of device; several injections of a kind add up.
 
     Attributes
     ----------
     output
-        Name of the program's output with the values, one row per entry of ``bus``.
+        Name of the program output with the values, one row per entry of ``bus``.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Injection:
     output: str
 
     def at_buses(self, solution: Solution, network: PerUnitNetwork) -> Array:
-        """The power at each bus, ``(buses, stages)`` in per unit."""
+        """Return the power at each bus, ``(buses, stages)`` in per unit."""
         values = solution.value(self.output)
         total = np.zeros((len(network.bus), values.shape[1]))
         np.add.at(total, self.bus, values)
@@ -79,17 +79,17 @@ class Injection:
 
 @dataclass(frozen=True)
 class State:
-    """A quantity that one problem of a receding horizon hands to the next.
+    """A quantity that links successive problems of a receding horizon.
 
-    ``stock`` is carried from stage to stage by an equation and has one more point than there are
-    stages; ``dispatch`` is decided afresh, at most ``ramp`` per hour away from what it was.
+    A ``stock`` evolves from stage to stage by an equation and has one more point than there are stages.
+    A ``dispatch`` is decided in every stage and changes by at most ``ramp`` per hour.
 
     Attributes
     ----------
     initial
-        Field with the value to start from where none is given.
+        Field with the default initial value.
     ramped
-        Items that have a ramp limit.
+        Items with a ramp limit.
     """
 
     name: str
@@ -101,25 +101,25 @@ class State:
 
     @property
     def is_energy(self) -> bool:
-        """Whether it is stored energy, of which something may be asked at the end of the horizon."""
+        """Whether the state is stored energy, to which terminal conditions apply."""
         return self.role == "stock" and self.unit == "MWh"
 
 
 @dataclass(frozen=True)
 class BoundSource:
-    """Where the bounds of a block come from, so that a time series reaches them in every solve."""
+    """Source of the bounds of a block, evaluated in every solve to follow the time series."""
 
     kind: str
     lower: Bound
     upper: Bound
 
     def resolve(self, table: Table) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """The bounds as numbers."""
+        """Return the bounds as arrays."""
         return resolved(table, self.lower), resolved(table, self.upper)
 
 
 def resolved(table: Table, bound: Bound) -> npt.NDArray[Any]:
-    """Numbers of a bound: of a field, a function of the table, or as given."""
+    """Return a bound as an array: from a field, a function of the table, or as given."""
     if isinstance(bound, str):
         return np.asarray(table.arrays[bound])
     return np.asarray(bound(table) if callable(bound) else bound)

@@ -1,4 +1,4 @@
-"""What a device is."""
+"""The base class of devices."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ __all__ = ["Device"]
 
 
 class Device:
-    """A kind of component that takes part in the power balance; one class in one file.
+    """A kind of component that takes part in the power balance; one class per file.
 
     Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
-    variables with bounds, affine rows and cones, convex costs.
+    bounded variables, affine rows, cones and convex costs.
 
     Attributes
     ----------
     component
-        The component class that declares such devices.
+        The component class that the device models.
     """
 
     component: type[Component]
 
     def declare(self, model: Model, table: Table) -> None:
-        """Declare variables, limits, injections and coupling in time for all components of the kind."""
+        """Declare variables, limits, injections and intertemporal coupling for all components of the kind."""
         raise NotImplementedError
 
     def cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
-        """Operating cost in $/h, one value per stage, or None. Works on symbols and on numbers."""
+        """Return the operating cost in $/h, one value per stage, or None; for symbols and for numbers."""
         return None

@@ -1,4 +1,4 @@
-"""Limits that give way at a price: what an elastic problem is, and how it reports what is short."""
+"""Soft limits: the penalty prices of an elastic problem, and how it reports shortfalls."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ __all__ = ["Elastic", "Shortage", "Side", "Slack", "Soft", "shortages"]
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-_LEAST = 1e-5  # p.u.; below it a slack is the solver's tolerance, not a shortage
+_LEAST = 1e-5  # p.u.; a smaller slack is solver tolerance, not a shortfall
 _TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """Prices at which the limits of a problem give way, so that it always has a solution.
+    """Penalty prices of soft limits, with which a problem always has a solution.
 
-    The prices weigh one shortage against another. However high costs are, no shortage is accepted to
-    save them: of all plans with the least priced shortage the cheapest is taken.
+    The prices weigh shortfalls against each other, never against cost: the plan is the cheapest of those
+    with the minimum penalty.
 
-    A price of 1 p.u. of anything (power, voltage, angle in radians, energy) for one hour is the price
-    below times the power base of the system, :attr:`Network.scale_mva`, so that 0.01 p.u. of voltage
-    costs as much as 1 MW where that is 100 MVA.
+    One hour of 1 p.u. of anything (power, voltage, angle in radians, energy) is penalised at the price
+    times the power base of the system, :attr:`Network.scale_mva`. On a base of 100 MVA, 0.01 p.u. of
+    voltage therefore costs as much as 1 MW.
 
     Parameters
     ----------
     limit
-        Of ratings, voltages, angles, ramps and custom constraints, $/MWh.
+        Price of violating ratings, voltage, angle and ramp limits and custom constraints, $/MWh.
     shedding
-        Of demand that is not served, $/MWh.
+        Price of unserved demand, $/MWh.
     balance
-        Of unserved balance (slack injection), active or reactive, and of energy outside a store's
-        limits, $/MWh. The highest, for nothing in a grid corresponds to it.
+        Price of unserved balance (slack injection), active or reactive, and of stored energy outside its
+        limits, $/MWh. The highest price, since it has no physical counterpart.
     """
 
     limit: float = 5_000.0
@@ -58,47 +58,47 @@ class Elastic:
 
 
 class Side(Enum):
-    """On which side of a limit a quantity is."""
+    """The side of a limit on which a quantity lies."""
 
     BELOW = -1
     ABOVE = 1
 
     @property
     def other(self) -> Side:
-        """The other side."""
+        """The opposite side."""
         return Side(-self.value)
 
 
 @dataclass(frozen=True, eq=False)
 class Soft:
-    """How a limit gives way in an elastic problem.
+    """How a limit is softened in an elastic problem.
 
     Attributes
     ----------
     limit
-        What is limited: ``voltage``, ``rating``, ``balance``, ...; shortages of one component and one
-        limit are reported together.
+        Kind of limit: ``voltage``, ``rating``, ``balance``, ... Shortfalls of one component and one kind
+        of limit are reported together.
     members
-        Positions of the components that the rows belong to.
+        Positions of the components to which the rows belong.
     unit
-        Physical unit of what is exceeded.
+        Physical unit of the violation.
     below, above
-        Sentences on a component below its lower or above its upper limit, with ``{}`` for the amount.
-        Where they are the same the side does not matter. An empty one is a side without a limit.
+        Sentences for a component below its lower or above its upper limit, with ``{}`` for the amount.
+        Equal sentences mean that the side does not matter; an empty one, that the side has no limit.
     price
-        Which price of :class:`Elastic` counts.
+        The price of :class:`Elastic` that applies.
     squared
-        Whether the rows limit the square of the quantity; it is exceeded by an amount all the same.
+        Whether the rows limit the square of the quantity; the slack is that of the quantity itself.
     share
-        Part of the price that each row bears, where several rows state one limit.
+        Share of the price that each row bears if several rows state one limit.
     first
         Stage of the first column of the rows; -1 for values at the ends of stages.
     noun
-        What the components are called; their kind by default.
+        Word for the components in the sentences; their kind by default.
     names
-        Names of the components, where they are no components of the network.
+        Names to report, if the rows do not belong to components of the network.
     timed
-        Whether the columns of the rows are stages; sentences on the others name no hour.
+        Whether the columns of the rows are stages; if not, the sentences name no hour.
     """
 
     limit: str
@@ -115,11 +115,11 @@ class Soft:
     timed: bool = True
 
     def sentence(self, side: Side) -> str:
-        """The sentence on a component on one side of the limit."""
+        """Return the sentence for a component on one side of the limit."""
         return self.above if side is Side.ABOVE else self.below
 
     def side(self, side: Side) -> Side:
-        """The side, or always the same one where it does not matter."""
+        """Return the side, or always the same one if the side does not matter."""
         return Side.ABOVE if self.below == self.above else side
 
 
@@ -132,8 +132,8 @@ class Slack:
     block
         Name of the variable block.
     counts
-        Gives, from the solution with the least shortage, which values are a shortage of their own, and
-        do not merely follow from another; all by default.
+        Function that returns, given the minimum-penalty solution, which values are shortfalls in their
+        own right rather than consequences of another; all by default.
     """
 
     block: str
@@ -143,13 +143,13 @@ class Slack:
     counts: Callable[[Solution, PerUnitNetwork], npt.NDArray[np.bool_]] | None = None
 
     def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[Side, Array]]:
-        """How much is exceeded on each side, p.u.: positive and negative values of the variable."""
+        """Return the violation on each side, p.u., from the positive and negative values of the variable."""
         if self.counts is not None:
             values = np.where(self.counts(least, network), values, 0.0)
         return [(self.side, np.maximum(values, 0.0)), (self.side.other, np.maximum(-values, 0.0))]
 
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
-        """Amounts of all components of the kind in all stages, ``(items, stages)``."""
+        """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
         kept = slice(max(-self.soft.first, 0), None)
         amounts = amounts[:, kept]
@@ -160,22 +160,22 @@ class Slack:
 
 @dataclass(frozen=True, eq=False)
 class Shortage:
-    """One component that is short of something, in one or several stages.
+    """A shortfall of one component, in one or several stages.
 
     Attributes
     ----------
     kind, component
-        Of what, by name.
+        Kind and name of the component.
     soft, side
         The limit that is exceeded, and on which side.
     amounts
-        By stage, in the physical unit.
+        Amount by stage, in the physical unit.
     hours
-        Hour at which each stage begins; empty if the amounts are not of stages.
+        Hour at which each stage begins; empty if the amounts do not belong to stages.
     step
         Hours per stage.
     cost
-        What it costs at the prices of the elastic problem, $.
+        Penalty at the prices of the elastic problem, $.
     """
 
     kind: str
@@ -194,7 +194,7 @@ class Shortage:
 
     @property
     def worst(self) -> float:
-        """Largest amount over the stages."""
+        """Maximum amount over the stages."""
         return float(self.amounts.max())
 
     def __str__(self) -> str:
@@ -221,14 +221,14 @@ def shortages(
     step: float,
     hours: Array,
 ) -> tuple[Shortage, ...]:
-    """What the components of a network are short of, the most expensive first.
+    """Return the shortfalls of a network, the most expensive first.
 
     Parameters
     ----------
     solution
-        What happens.
+        The solution to report.
     least
-        The solution with the least shortage, whose prices tell what causes a shortage.
+        The minimum-penalty solution, whose shadow prices identify the cause of a shortfall.
     hours
         Hour at which each stage begins.
     """
@@ -241,7 +241,7 @@ def shortages(
             for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > _LEAST):
                 key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
                 _, known = found.get(key, (soft, np.zeros(spread.shape[1])))
-                # both ends of a branch have one rating; what several loads of a bus lack adds up
+                # the ends of a branch share one rating; the shortfalls of several loads at a bus add up
                 join = np.maximum if soft.price == "limit" else np.add
                 found[key] = soft, join(known, spread[item])
     made = []
@@ -255,5 +255,5 @@ def shortages(
 
 
 def _figure(value: float) -> str:
-    """Three or four significant digits, without an exponent."""
+    """Format with three or four significant digits and no exponent."""
     return f"{value:,.1f}" if value > 9.995 else f"{value:.3g}"

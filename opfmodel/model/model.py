@@ -1,4 +1,4 @@
-"""The builder of a problem: what devices, a formulation and an objective declare, as a program."""
+"""The model builder: collects declarations of devices, formulation and objective into a program."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
-_UNLIMITED = 1e4  # times the demand, or 1 p.u. if that is more
+_UNLIMITED = 1e4  # times the total demand, or 1 p.u. if that is larger
 
 
 def number_of(values: Array, network: PerUnitNetwork) -> Array:
-    """Values of a parameter; where they are infinite, a limit that is never reached.
+    """Replace infinite values of a parameter with a limit that is never reached.
 
-    A bound may be infinite; a parameter is a coefficient of the equations.
+    Bounds may be infinite, but parameters are coefficients of the equations.
     """
     if not np.isinf(values).any():
         return np.asarray(values)
@@ -41,14 +41,14 @@ def number_of(values: Array, network: PerUnitNetwork) -> Array:
 
 
 class Model:
-    """Collects what devices, a formulation and an objective declare.
+    """The declarations of devices, a formulation and an objective, collected into a program.
 
     Parameters
     ----------
     network
         Arrays of the network.
     stages, step
-        Horizon and length of a stage in hours.
+        Number of stages, and length of a stage in hours.
     reactive
         Whether the formulation balances reactive power.
     zones
@@ -56,18 +56,18 @@ class Model:
     series
         ``(kind, field)`` pairs that have time series.
     elastic
-        Prices at which soft limits give way; None keeps every limit hard.
+        Penalty prices of soft limits; None keeps every limit hard.
     regularisation
-        Weight in $/(h p.u.²) of what devices ask to be regularised.
+        Weight in $/(h p.u.²) of the squares of regularised quantities.
 
     Attributes
     ----------
     series
         Fields that have time series, by ``(kind, field)``.
     slacks
-        By how much limits are exceeded, by name of the variable; empty unless elastic.
+        Slack variables of soft limits, by name; empty unless elastic.
     penalties
-        What they cost, $, item by item and stage by stage.
+        Penalties of the slacks by item and stage, $.
     """
 
     def __init__(
@@ -114,10 +114,10 @@ class Model:
         self._soften_balance()
 
     def connect(self, device: Device) -> None:
-        """Let a device declare itself.
+        """Add the declarations of a device.
 
-        What devices of other packages feed into the buses is kept in :attr:`injections`, so that
-        results have it and a balance can be verified without knowing them.
+        Injections by devices of other packages are kept in :attr:`injections`: results contain them, and a
+        balance can be verified without knowing the devices.
         """
         kind = device.component.kind
         self.devices.append(device)
@@ -151,10 +151,10 @@ class Model:
         unit
             Physical unit of the quantity.
         points
-            Number of points in time, if it is not the number of stages.
+            Number of points in time, if it differs from the number of stages.
         soft
-            How the bounds give way in an elastic problem; by default they do not. There they become
-            the rows ``name_limit``, and the variable itself is only kept from changing its sign.
+            How the bounds are softened in an elastic problem; by default they stay hard. Soft bounds
+            become the rows ``name_limit``; the variable itself keeps at most a lower bound of zero.
         """
         table = self.network.tables[kind]
         low, high = (resolved(table, bound) for bound in (lower, upper))
@@ -182,15 +182,14 @@ class Model:
         description: str = "",
         ramp: str | None = None,
     ) -> Expression:
-        """Declare a dispatched quantity, limited in its change from stage to stage.
+        """Declare a dispatched quantity with limited change from stage to stage.
 
-        ``|x(k) - x(k-1)| <= ramp * step``, for the first stage with respect to what was applied
-        last.
+        ``|x(k) - x(k-1)| <= ramp * step``, where the first stage follows the value applied last.
 
         Parameters
         ----------
         ramp
-            Field with the limit per hour; infinite entries have no limit.
+            Field with the limit per hour; infinite entries mean no limit.
         """
         values = self.variable(kind, name, lower, upper, unit=unit, description=description)
         ramped = None
@@ -213,7 +212,7 @@ class Model:
             if self.stages > 1 and ramped.size:
                 change = moving[:, 1:] - moving[:, :-1]
                 self.rows(kind, f"{name}_ramp", change, floor, limit, replace(soft, first=1))
-            if ramped.size:  # bounds decide in every solve whether it counts
+            if ramped.size:  # each solve enables or frees it through its bounds
                 before = self.build.parameter(f"{name}_previous", ramped.size)
                 self.rows(
                     kind, f"{name}_ramp_first", moving[:, :1] - before,
@@ -221,7 +220,7 @@ class Model:
                 )  # fmt: skip
                 self.price(
                     kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
-                    "$/MW", "value of one more MW of change from the stage before",
+                    "$/MW", "value of one more MW of change since the previous stage",
                 )  # fmt: skip
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
@@ -247,11 +246,11 @@ class Model:
         description: str = "",
         initial: str | None = None,
     ) -> Expression:
-        """Declare a state with ``stages + 1`` points, whose first point is the initial value.
+        """Declare a stored quantity with ``stages + 1`` points, the first of which is the initial value.
 
-        The points at the start of each stage are published as ``name``, those at its end as
-        ``name_next``. Rows that tie the last point to the first are free unless a solve asks for a
-        cyclic end, and what is left at the end is worth nothing unless a solve gives it a price.
+        The points at the start of each stage are published as ``name``, those at the end as ``name_next``.
+        The rows that tie the last point to the first are free unless a solve requires a cyclic end, and
+        the final value is worth nothing unless a solve sets its price.
         """
         items = np.arange(len(self.network.tables[kind]))
         soft = Soft(
@@ -263,7 +262,9 @@ class Model:
         self.publish(
             kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage"
         )
-        self.publish(kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at its end")
+        self.publish(
+            kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at the end of a stage"
+        )
         cyclic = self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf)
         self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
         end = Soft(
@@ -281,7 +282,7 @@ class Model:
     def limit(
         self, kind: str, name: str, items: int, lower: Bound, upper: Bound, soft: Soft | None = None
     ) -> Rows:
-        """Declare rows of every stage, empty so far; bounds and ``soft`` as for :meth:`variable`."""
+        """Declare empty rows for every stage; bounds and ``soft`` as for :meth:`variable`."""
         return self._rows(kind, name, items, self.stages, lower, upper, soft)
 
     def rows(
@@ -311,18 +312,18 @@ class Model:
         return rows
 
     def regularise(self, values: Expression) -> None:
-        """Add a small multiple of the squares of a quantity to what is minimised, and to no reported cost.
+        """Add a small multiple of the squares of a quantity to the minimised cost, but to no reported cost.
 
-        It makes a problem well posed that leaves the quantity undetermined, at a weight that the objective
-        or the user chooses.
+        This makes a problem well posed that otherwise leaves the quantity undetermined. The objective or
+        the user chooses the weight.
         """
         if self.regularisation:
             self.build.minimize(self.regularisation * self.step * total(values**2))
 
-    # Limits that give way ----------------------------------------------------------------
+    # Soft limits -------------------------------------------------------------------------
 
     def slack(self, kind: str, name: str, soft: Soft, side: Side, stages: int | None = None) -> Expression:
-        """Declare by how much limits are exceeded on one side, which an elastic problem pays for."""
+        """Declare the violation of limits on one side, penalised in an elastic problem."""
         return self._slack(Slack(name, kind, soft, side), stages or self.stages)
 
     def soften(
@@ -334,7 +335,7 @@ class Model:
         upper: Bound = 0.0,
         names: tuple[str, str] | None = None,
     ) -> None:
-        """Let rows give way in an elastic problem: ``lower <= rows + below - above <= upper``.
+        """Soften rows in an elastic problem: ``lower <= rows + below - above <= upper``.
 
         Parameters
         ----------
@@ -347,10 +348,10 @@ class Model:
             return
         below, above = names or (f"{rows.name}_below", f"{rows.name}_above")
         for name, side, bound in ((below, Side.BELOW, lower), (above, Side.ABOVE, upper)):
-            table = self.network.tables.get(kind, self.network.bus)  # bounds of constraints are numbers
+            table = self.network.tables.get(kind, self.network.bus)  # constraints have numeric bounds
             if soft.sentence(side) and np.isfinite(resolved(table, bound)).any():
                 exceeded = self._slack(Slack(name, kind, soft, side), rows.index.shape[1])
-                if soft.squared:  # the square of the limit with what it is exceeded by, less its own square
+                if soft.squared:  # (limit ± slack)² in place of limit²
                     limit = self._number(kind, f"{name}_limit", _root(bound), rows.index.shape)
                     exceeded = 2.0 * limit * exceeded + side.value * exceeded**2
                 self.build.add(-side.value * exceeded, into=rows)
@@ -364,18 +365,18 @@ class Model:
         return values
 
     def penalise(self, cost: Expression) -> None:
-        """Let a shortage cost something, in $; it is a part of no objective."""
+        """Add the penalty of a shortfall, in $; it is part of no objective."""
         self.penalties.append(cost)
         self.build.minimize(cost)
 
     def penalty(self, soft: Soft) -> float:
-        """Price in $ of one internal unit of a soft limit over a stage."""
+        """Return the penalty in $ of one internal unit of a soft limit over a stage."""
         assert self.elastic is not None
         unit = self.network.base_mva if soft.unit else 1.0
         return soft.share * float(getattr(self.elastic, soft.price)) * unit * self.step
 
     def _soften_balance(self) -> None:
-        """Let power come from nowhere and vanish at every bus, or in every zone."""
+        """Add penalised slack injections and withdrawals at every bus, or in every zone."""
         _, first = np.unique(self.zones, return_index=True)
         for rows, unit in ((self.balance_p, "MW"), (self.balance_q, "MVAr")):
             if rows is not None:
@@ -384,7 +385,7 @@ class Model:
                 self.soften("bus", rows, soft, names=(f"{letter}_shortage", f"{letter}_surplus"))
 
     def soft_balance(self, bus: Index, unit: str, price: Literal["shedding", "balance"]) -> Soft:
-        """How the balance of buses gives way; without a network the first bus stands for its zone."""
+        """Return how the balance of buses is softened; without a network, the first bus names its zone."""
         _, first = np.unique(self.zones, return_index=True)
         noun = "bus" if len(first) == len(self.network.bus) else "island of bus"
         sort = " of reactive power" if unit == "MVAr" else ""
@@ -394,7 +395,7 @@ class Model:
     def inject(self, bus: Index, p: Expression | None = None, q: Expression | None = None) -> None:
         """Add power to the balance of buses, one entry of ``bus`` per row of ``p`` and ``q``.
 
-        Reactive power is ignored by formulations that do not balance it.
+        Formulations without a reactive balance ignore ``q``.
         """
         rows = self.zones[bus]
         if p is not None and p.items:
@@ -405,33 +406,33 @@ class Model:
             self._keep(bus, q, "q", "MVAr", "reactive")
 
     def _keep(self, bus: Index, power: Expression, name: str, unit: str, sort: str) -> None:
-        """Remember what a device of another package injects."""
+        """Record the injections of a device from another package."""
         kind = self._declaring
         if kind is None:
             return
         output = f"injection {len(self.injections) + 1}"
         spread = power + np.zeros((len(bus), self.stages))
         self.build.output(output, spread)
-        about = f"{sort} power that the {self.network.tables[kind].kind.plural} feed into the bus"
+        about = f"{sort} power that the {self.network.tables[kind].kind.plural} inject at the bus"
         self.injections.append(Injection(f"{kind}_{name}", unit, about, bus, output))
 
     def publish(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
-        """Name a quantity, so that objectives and constraints can use it and plans report it."""
+        """Name a quantity that objectives and constraints can use and that plans report."""
         self._name(name)
         self.published[name] = Published(kind, unit, description, values)
 
     def report(self, kind: str, name: str, values: Expression, *, unit: str, description: str = "") -> None:
-        """Name a quantity for results alone: objectives and constraints do not see it."""
+        """Name a quantity that only results contain: objectives and constraints do not see it."""
         self._name(name)
         self.reported[name] = Published(kind, unit, description, values)
 
     def _name(self, name: str) -> None:
-        """Raise an error for the name of another quantity or price: results have one of each name."""
+        """Raise an error if a quantity or price of that name exists, for results are keyed by name."""
         if name in (*self.published, *self.reported, *self.prices, *DEMAND):
             raise IncompatibleError(f"two quantities are named {name!r}")
 
     def field(self, kind: str, field: str) -> Any:
-        """A field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""
+        """Return a field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""
         return (
             self.parameter(kind, field)
             if (kind, field) in self.series
@@ -439,9 +440,9 @@ class Model:
         )
 
     def parameter(self, kind: str, field: str) -> Expression:
-        """A field of the network as a parameter, ``(items, stages)``: it may change between solves.
+        """Return a field of the network as a parameter, ``(items, stages)``, which may change between solves.
 
-        Where the field is infinite, which is "no limit", the parameter has :func:`number_of` it.
+        Infinite entries, which mean "no limit", are replaced as in :func:`number_of`.
         """
         if (kind, field) not in self._fields:
             table = self.network.tables[kind]
@@ -452,7 +453,7 @@ class Model:
         return self._fields[kind, field]
 
     def _number(self, kind: str, name: str, value: Bound, shape: tuple[int, ...]) -> Any:
-        """A number made of fields of a kind: a parameter if a field of the kind has time series."""
+        """Return a number computed from fields of a kind: a parameter if one of them has time series."""
         given = number_of(resolved(self.network.tables[kind], value), self.network)
         if not any(changing == kind for changing, _ in self.series):
             return given
@@ -468,7 +469,7 @@ class Model:
         unit: str,
         description: str,
     ) -> None:
-        """Name a shadow price: what one more unit of something is worth, whatever the back end."""
+        """Name a shadow price: the value of one more unit, independent of the back end."""
         self._name(name)
         self.prices[name] = Price(kind, unit, description, read)
 
@@ -476,7 +477,7 @@ class Model:
         # more demand lowers the right-hand side of the balance
         return lambda solution, _: -solution.dual(rows)[self.zones] / self.step
 
-    # What the declarations see of each other ---------------------------------------------
+    # Access to declared quantities -------------------------------------------------------
 
     def __getattr__(self, kind: str) -> Quantities:
         if kind.startswith("_") or kind not in self.network.tables:
@@ -502,17 +503,17 @@ class Model:
 
     @property
     def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h."""
+        """Operating cost of all devices, $/h."""
         return sum_of_costs(self.devices, self)
 
 
 def _root(bound: Bound) -> Callable[[Table], Array]:
-    """Square roots of the values of a bound."""
+    """Return a function that computes the square roots of a bound."""
     return lambda table: np.sqrt(resolved(table, bound))
 
 
 def _middle(lower: npt.NDArray[Any], upper: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Midpoint of finite bounds, else the feasible point nearest to zero."""
+    """Return the midpoint of finite bounds, else the feasible point nearest to zero."""
     finite = np.isfinite(lower) & np.isfinite(upper)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(finite, 0.5 * (lower + upper), np.clip(0.0, lower, upper)))

@@ -1,4 +1,4 @@
-"""What objectives, costs of devices and constraints see: quantities by name, on symbols or on numbers."""
+"""Access to quantities by name, as symbols or numbers, for objectives, device costs and constraints."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ class Quantities:
 
 
 class Stage(Protocol):
-    """What an objective, a device's cost or a user's constraint is a function of.
+    """The argument of objectives, device costs and custom constraints.
 
     Attributes
     ----------
     network
-        The arrays of the network.
+        Arrays of the network.
     step
         Length of a stage in hours.
     """
@@ -62,7 +62,7 @@ class Stage(Protocol):
     step: float
 
     def __getattr__(self, kind: str) -> Quantities:
-        """Quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
+        """Return the quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
         ...
 
     def has(self, name: str) -> bool:
@@ -71,23 +71,23 @@ class Stage(Protocol):
 
     @property
     def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h: one value per stage."""
+        """Operating cost of all devices, $/h, one value per stage."""
         ...
 
 
 class NumericStage:
-    """The quantities of a model as numbers, for metering costs.
+    """The quantities of a model as numbers, for evaluating costs.
 
     Parameters
     ----------
     network
-        Arrays of the network, with the time series of the window put in.
+        Arrays of the network, including the time series of the window.
     step
         Length of a stage in hours.
     values
         Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
     devices
-        The devices whose costs count.
+        Devices that contribute to the operating cost.
     """
 
     def __init__(
@@ -115,17 +115,17 @@ class NumericStage:
         return Quantities(kind, get, lambda: [*names, *table.arrays])
 
     def has(self, name: str) -> bool:
-        """Whether there are values of a quantity."""
+        """Whether a quantity has values."""
         return any(n == name for _, n in self.values)
 
     @property
     def operating_cost(self) -> Any:
-        """Sum of the costs of all devices, $/h: one value per stage."""
+        """Operating cost of all devices, $/h, one value per stage."""
         return sum_of_costs(self._devices, self)
 
 
 def sum_of_costs(devices: Iterable[Device], stage: Any) -> Any:
-    """Sum of the operating costs of devices, $/h; None if there is none."""
+    """Return the total operating cost of devices, $/h, or None if no device has a cost."""
     costs = [cost for cost in (device.cost(stage) for device in devices) if cost is not None]
     result = costs[0] if costs else None
     for cost in costs[1:]:

@@ -1,4 +1,4 @@
-"""Objectives: what a plan minimises, one file each."""
+"""Objectives: the cost that a plan minimises, one file each."""
 
 from opfmodel.objectives.base import Objective, WeightedSum
 

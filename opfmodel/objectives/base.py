@@ -1,4 +1,4 @@
-"""What an objective is, and weighted sums of several."""
+"""The base class of objectives, and weighted sums of them."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Array = npt.NDArray[np.float64]
 
 
 class Objective:
-    """A stage cost, and optionally a cost at the end of the horizon; one class in one file.
+    """A stage cost, and optionally a terminal cost; one class per file.
 
     Registered by an entry point in the group ``opfmodel.objectives``; the keyword arguments of
-    the constructor are the options in a scenario file. Objectives can be added and multiplied
+    the constructor are the options in a scenario file. Objectives can be added, and multiplied
     by non-negative numbers.
 
     Attributes
     ----------
     needs
-        Names of the quantities without which the objective has no meaning.
+        Names of the quantities that the objective requires.
     convex
         Whether the cost is convex in the quantities that it reads.
     regularisation
         Default weight, in $/h, of the squares of storage power that a plan adds to make the problem well
-        posed; in per unit on the scale of the system, whatever its base. It never counts in a reported cost.
+        posed; per unit refers to the scale of the system, whatever its base. No reported cost includes it.
     """
 
     needs: tuple[str, ...] = ()
@@ -41,15 +41,15 @@ class Objective:
     regularisation: float = 0.0
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Cost rate in $/h, one value per stage, from quantities in per unit; None for none.
+        """Return the cost rate in $/h, one value per stage, from quantities in per unit, or None.
 
-        The same text is compiled for a solver and evaluated on numbers, so it is plain
-        arithmetic, NumPy functions, :func:`solvers.total`, :func:`solvers.largest`.
+        The same code is compiled for a solver and evaluated on numbers: use plain arithmetic, NumPy
+        functions, :func:`solvers.total` and :func:`solvers.largest`.
         """
         raise NotImplementedError
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:  # noqa: ARG002
-        """Numbers of one's own that change in time, in per unit, by ``(kind, field)``.
+        """Return the objective's own time-varying data, in per unit, by ``(kind, field)``.
 
         ``stage.generator.pg_setpoint`` is then the value of the field in each stage.
 
@@ -57,12 +57,12 @@ class Objective:
         -------
         mapping
             Arrays of shape ``(items, steps)``, from the first step of the profiles on, or
-            ``(items, 1)`` for what does not change.
+            ``(items, 1)`` for constants.
         """
         return {}
 
     def terminal_cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
-        """Cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
+        """Return a cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
         return None
 
     def __add__(self, other: Objective) -> WeightedSum:
@@ -92,27 +92,27 @@ class WeightedSum(Objective):
         self.regularisation = max((part.regularisation for _, part in flat), default=0.0)
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Weighted sum of the stage costs."""
+        """Return the weighted sum of the stage costs."""
         return _sum([(w, p.stage_cost(stage)) for w, p in self.parts])
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
-        """The series of all parts.
+        """Return the series of all parts.
 
         Raises
         ------
         IncompatibleError
-            Two parts want different numbers in the same field.
+            Two parts define different values for the same field.
         """
         merged: dict[tuple[str, str], Array] = {}
         for _, part in self.parts:
             for key, values in part.series(network).items():
                 if key in merged and not np.array_equal(merged[key], values, equal_nan=True):
-                    raise IncompatibleError(f"two objectives of a sum have different numbers for {key[1]!r}")
+                    raise IncompatibleError(f"two objectives of a sum have different values for {key[1]!r}")
                 merged[key] = values
         return merged
 
     def terminal_cost(self, stage: Stage) -> Any:
-        """Weighted sum of the terminal costs."""
+        """Return the weighted sum of the terminal costs."""
         return _sum([(w, p.terminal_cost(stage)) for w, p in self.parts])
 
 

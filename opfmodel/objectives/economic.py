@@ -24,8 +24,8 @@ class Economic(Objective):
     Parameters
     ----------
     reactive_weight, energy_weight
-        :math:`w_q` and :math:`w_e` in $/(h p.u.²), on the network's ``base_mva``. The reactive term is
-        left out by formulations without reactive power.
+        :math:`w_q` and :math:`w_e` in $/(h p.u.²), on the network's ``base_mva``. Formulations without
+        reactive power omit the reactive term.
     """
 
     needs = ("pg",)
@@ -36,7 +36,7 @@ class Economic(Objective):
         self.energy_weight = not_negative("economic", "energy_weight", energy_weight)
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Operating cost plus the small quadratic terms."""
+        """Return the operating cost plus the small quadratic terms."""
         cost, unit = stage.operating_cost, stage.network.rebased**2
         if self.reactive_weight and stage.has("qg"):
             cost = cost + self.reactive_weight * unit * total(stage.generator.qg**2)

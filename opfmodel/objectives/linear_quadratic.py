@@ -1,4 +1,4 @@
-"""Any linear-quadratic stage cost."""
+"""Linear-quadratic stage costs."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class LinearQuadratic(Objective):
         \ell(x, u) = x^T Q x + u^T R u + q^T x + r^T u
 
     in $/h, with :math:`x = (p^g, q^g, e)` and :math:`u = (p^s, q^s)` in the order of the network.
-    Increments of generation are no variables here; their limits are ramps. Source: Faulwasser and
+    Increments of generation are not variables here; ramps limit them. Source: Faulwasser and
     Engelmann (2019), Assumption 4.1.
 
     Parameters
     ----------
     Q, R
         By quantity (``pg``, ``qg``, ``e``; ``ps``, ``qs``) a number, one number per component, or
-        a matrix; what is not named has none. Or one matrix for the whole of x or u. Matrices count
-        with their symmetric part.
+        a matrix; quantities not listed have no weight. Or one matrix for all of x or u. Only the
+        symmetric part of a matrix counts.
     q, r
-        By quantity a number or one number per component, or one vector for the whole of x or u.
+        By quantity a number or one number per component, or one vector for all of x or u.
 
     Raises
     ------
     ModelError
-        An unknown quantity, or a shape that does not fit the network; when the problem is compiled.
+        A quantity is unknown; or, when the problem is compiled, a shape does not fit the network.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class LinearQuadratic(Objective):
         self.needs = tuple(dict.fromkeys(name for names in named for name in names))
 
     def stage_cost(self, stage: Stage) -> Any:
-        """The terms whose weights are not zero."""
+        """Return the sum of the terms with non-zero weights."""
         cost: Any = None
         for symbol, weights, kinds in self._terms:
             for term in _terms(symbol, weights, kinds, stage):
@@ -69,7 +69,7 @@ class LinearQuadratic(Objective):
 
 
 def _named(symbol: str, weights: Any, kinds: Mapping[str, str]) -> list[str]:
-    """Quantities that weights speak of."""
+    """Return the quantities that have weights."""
     if weights is None:
         return []
     if not isinstance(weights, Mapping):
@@ -100,7 +100,7 @@ def _terms(symbol: str, weights: Any, kinds: Mapping[str, str], stage: Stage) ->
 
 
 def _vectors(symbol: str, weights: Any, sizes: Mapping[str, int]) -> dict[str, Array]:
-    """Weights as one vector per quantity."""
+    """Return the weights as one vector per quantity."""
     if isinstance(weights, Mapping):
         return {n: _shaped(f"{symbol} of {n}", w, (sizes[n],)) for n, w in weights.items()}
     whole = _shaped(symbol, weights, (sum(sizes.values()),))
@@ -109,7 +109,7 @@ def _vectors(symbol: str, weights: Any, sizes: Mapping[str, int]) -> dict[str, A
 
 
 def _blocks(symbol: str, weights: Any, sizes: Mapping[str, int]) -> dict[tuple[str, str], Array]:
-    """Weights as upper triangular blocks, so that every product of two entries appears once."""
+    """Return the weights as upper triangular blocks, with every product of two entries once."""
     if isinstance(weights, Mapping):
         square = {}
         for name, weight in weights.items():
@@ -135,7 +135,7 @@ def _shaped(what: str, weight: Any, shape: tuple[int, ...]) -> Array:
     except (TypeError, ValueError, OverflowError):
         raise ModelError(f"linear-quadratic cost: {what}: must be numbers, not {shown(weight)}") from None
     if array.ndim and array.shape != shape:
-        raise ModelError(f"linear-quadratic cost: {what} has shape {array.shape}; {shape} is needed")
+        raise ModelError(f"linear-quadratic cost: {what} has shape {array.shape}; must have {shape}")
     if not (np.abs(array) <= LARGEST).all():
-        raise ModelError(f"linear-quadratic cost: {what} is not finite, or has more than {LARGEST:g}")
+        raise ModelError(f"linear-quadratic cost: {what}: must be finite numbers of at most {LARGEST:g}")
     return np.array(np.broadcast_to(array, shape))

@@ -1,4 +1,4 @@
-"""Least losses in the branches."""
+"""Active losses of the branches."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class LossMinimisation(Objective):
     .. math::
         \ell = \pi \sum_b (p^f_b + p^t_b)
 
-    in $/h. A lossless formulation (``dc``) loses nothing, and every dispatch is optimal there.
+    in $/h. In a lossless formulation (``dc``) the cost is zero, and every dispatch is optimal.
 
     Parameters
     ----------
@@ -33,6 +33,6 @@ class LossMinimisation(Objective):
         self.price = not_negative("loss minimisation", "price", price)
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Price times losses."""
+        """Return the price times the losses."""
         branch = stage.branch
         return self.price * stage.network.base_mva * total(branch.pf + branch.pt)

@@ -1,4 +1,4 @@
-"""Following given trajectories."""
+"""Tracking of given trajectories."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _KINDS = {"pg": "generator", "qg": "generator", "e": "storage", "ps": "storage",
 
 
 class Setpoints:
-    """Values to follow, in MW, MVAr and MWh.
+    """Values to track, in MW, MVAr and MWh.
 
     Parameters
     ----------
     values
         By ``"component.quantity"`` (``pg``, ``qg``, ``e``, ``ps``, ``qs``), one number for all
-        steps or one per step; or a function that gives such a mapping when it is needed.
+        steps or one per step; or a function that returns such a mapping when it is needed.
 
     Examples
     --------
@@ -55,13 +55,13 @@ class Setpoints:
         return self._values
 
     def arrays(self, network: PerUnitNetwork) -> dict[str, Array]:
-        """Per-unit values by quantity, ``(items, steps)``; not a number where there is none to follow.
+        """Return per-unit values by quantity, ``(items, steps)``; NaN where there is no set-point.
 
         Raises
         ------
         ModelError
-            A set-point names no component or no quantity of it, is not a number, or is as long as
-            no other.
+            A set-point names an unknown component or quantity, is not a number, or differs in length
+            from the others.
         """
         given: dict[str, dict[str, Array]] = {}
         length, longest = 1, ""
@@ -92,21 +92,21 @@ class Setpoints:
 
 
 class SetpointTracking(Objective):
-    r"""Distance from given trajectories of states and inputs.
+    r"""Squared distance from given trajectories of states and inputs.
 
     .. math::
         \ell_t = q \left( \|p^g - p^g_s\|^2 + \|q^g - q^g_s\|^2 + \|e - e_s\|^2 \right)
                + r \left( \|p^s - p^s_s\|^2 + \|q^s - q^s_s\|^2 \right)
 
-    in per unit on the network's ``base_mva``. Only what has a set-point is followed; reactive power
-    only by formulations that have it. Source: Faulwasser and Engelmann (2019), section 5, with
+    in per unit on the network's ``base_mva``. Only quantities with set-points are tracked, reactive
+    power only by formulations that have it. Source: Faulwasser and Engelmann (2019), section 5, with
     :math:`Q = I, R = 0.1` and the sequence of single-stage optima.
 
     Parameters
     ----------
     setpoints
-        What to follow: :class:`Setpoints`, or a mapping for one. In a scenario file
-        ``single-stage`` (the optimum of each step by itself), ``{file: values.csv}`` with columns
+        The trajectories: :class:`Setpoints`, or a mapping for one. In a scenario file
+        ``single-stage`` (the optimum of each step on its own), ``{file: values.csv}`` with columns
         headed ``component.quantity``, or ``{component.quantity: value or list}``.
     state_weight, input_weight
         :math:`q` on ``pg``, ``qg``, ``e`` and :math:`r` on ``ps``, ``qs``, in $/(h p.u.²).
@@ -123,14 +123,14 @@ class SetpointTracking(Objective):
         self.input_weight = not_negative("set-point tracking", "input_weight", input_weight)
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
-        """The set-points as fields ``pg_setpoint``, ... of their components."""
+        """Return the set-points as fields ``pg_setpoint``, ... of their components."""
         arrays = self.setpoints.arrays(network)
         if not arrays:
             raise ModelError("set-point tracking has no set-points; give at least one, such as 'coal.pg'")
         return {(_KINDS[q], f"{q}_setpoint"): np.nan_to_num(array) for q, array in arrays.items()}
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Weighted squares of the distances."""
+        """Return the weighted squares of the distances."""
         cost, unit = None, stage.network.rebased**2
         for quantity, array in self.setpoints.arrays(stage.network).items():
             if not stage.has(quantity):
@@ -152,7 +152,7 @@ def _numbers(key: str, value: npt.ArrayLike) -> Array:
             f"set-point {key!r}: {shown(value)}: must be a number, or one number per step"
         ) from None
     if array.ndim != 1 or not array.size:
-        raise ModelError(f"set-point {key!r}: one number per step is expected, not shape {array.shape}")
+        raise ModelError(f"set-point {key!r}: must be one number per step, not shape {array.shape}")
     sound = np.abs(array) <= LARGEST
     if not sound.all():
         step = int(np.argmin(sound))

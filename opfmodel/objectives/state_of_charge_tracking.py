@@ -1,4 +1,4 @@
-"""Keeping stored energy near a share of the capacity."""
+"""Tracking of a state of charge."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["StateOfChargeTracking"]
 
 
 class StateOfChargeTracking(Objective):
-    r"""Distance of stored energy from a share of the capacity.
+    r"""Squared distance of stored energy from a share of the capacity.
 
     .. math::
         \ell_b = c \sum_s (e_s - \sigma\, \bar e_s)^2
 
-    with energies in p.u.·h on the network's ``base_mva``. Generation is left undetermined, which is the
-    point of the comparison in Faulwasser and Engelmann (2019), section 5; several dispatches have the
-    same cost.
+    with energies in p.u.·h on the network's ``base_mva``. The cost leaves generation undetermined, so
+    several dispatches are optimal; this is the point of the comparison in Faulwasser and Engelmann
+    (2019), section 5.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class StateOfChargeTracking(Objective):
         self.weight = not_negative("state-of-charge tracking", "weight", weight)
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Weighted squares of the distances at the start of the stage."""
+        """Return the weighted squares of the distances at the start of the stage."""
         storage = stage.storage
         weight = self.weight * stage.network.rebased**2
         return weight * total((storage.e - self.share * storage.energy) ** 2)

@@ -1,4 +1,4 @@
-"""What energy left in storage is worth."""
+"""The value of the final stored energy."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["StoredEnergyValue"]
 
 
 class StoredEnergyValue(Objective):
-    r"""Value of the energy in storage at the end of the horizon.
+    r"""Value of the stored energy at the end of the horizon.
 
     .. math::
         V_f = -\pi \sum_s e_s(N)
 
-    in $; a stage costs nothing. Without it a plan empties its storages towards the end, because
-    nothing after the horizon counts. A closed loop has no end, so that its realised cost does not
-    contain the term.
+    in $; the stage cost is zero. Without it a plan empties its storages towards the end, because
+    nothing after the horizon counts. A closed loop has no end, so its realised cost excludes the
+    term.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ class StoredEnergyValue(Objective):
         self.price = finite("stored energy value", "price", price)
 
     def stage_cost(self, stage: Stage) -> Any:  # noqa: ARG002
-        """Nothing."""
+        """Return None."""
         return None
 
     def terminal_cost(self, stage: Stage) -> Any:
-        """Minus price times energy."""
+        """Return minus the price times the final energy."""
         left = stage.storage.e_next[:, -1:]
         return -self.price * stage.network.base_mva * total(left)

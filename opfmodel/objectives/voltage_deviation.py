@@ -1,4 +1,4 @@
-"""Voltages near a target."""
+"""Deviation of voltages from a target."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ class VoltageDeviation(Objective):
         self.weight = not_negative("voltage deviation", "weight", weight)
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Weighted squares of the distances."""
+        """Return the weighted squares of the distances."""
         return self.weight * total((stage.bus.vm - self.target) ** 2)

@@ -1,4 +1,4 @@
-"""Plans: a network, a horizon, a formulation and an objective compiled into one program, and its results."""
+"""Plans: a network, horizon, formulation and objective compiled into one program, and its results."""
 
 from opfmodel.plan.end import End
 from opfmodel.plan.multistage import MultiStage

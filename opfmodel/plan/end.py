@@ -1,4 +1,4 @@
-"""What is asked of stored energy at the end of the horizon."""
+"""Terminal conditions on stored energy."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ __all__ = ["End"]
 
 @dataclass(frozen=True)
 class End:
-    """What is asked of stored energy at the end of the horizon.
+    """Terminal conditions on stored energy.
 
     Parameters
     ----------
     cyclic
-        As much as at its start: e(N) = e(0).
+        Whether the final energy equals the initial: e(N) = e(0).
     minimum
-        At least this share of the capacity, from 0 to 1.
+        Minimum final energy as a share of the capacity, from 0 to 1.
     price
-        Value of what is left, $/MWh.
+        Value of the final energy, $/MWh.
     """
 
     cyclic: bool = False

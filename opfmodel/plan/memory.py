@@ -1,4 +1,4 @@
-"""How much memory a problem, its time series and a run need, and whether the machine has it."""
+"""Estimates of the memory that a problem, its time series and a run need, and their check."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ __all__ = ["check_memory", "machine_bytes", "problem_bytes", "run_bytes", "serie
 
 MB, GB = 1_000_000, 1_000_000_000
 # Measured on the 118-bus system with storage at every bus (589 components, 24 to 768 stages), compiled and
-# solved by IPOPT: 2.3 MB per stage of AC, 2.8 MB of SOC, 1.0 to 1.9 MB of DC, 0.6 MB of copperplate. Of each
-# sort the least counts, so that what is refused would not have fitted.
-_REACTIVE_BYTES = 4_000  # per component and stage, where formulations have reactive power
-_ACTIVE_BYTES = 1_000  # of the others
-_SERIES_BYTES = 40  # per load and step: active and reactive demand, and what a rule draws on the way
+# solved by IPOPT: 2.3 MB per stage of AC, 2.8 MB of SOC, 1.0 to 1.9 MB of DC, 0.6 MB of copperplate. The
+# lowest figure of each group is used, so a problem is refused only if it would certainly not fit.
+_REACTIVE_BYTES = 4_000  # per component and stage, formulations with reactive power
+_ACTIVE_BYTES = 1_000  # per component and stage, all others
+_SERIES_BYTES = 40  # per load and step: active and reactive demand, and temporary arrays of a rule
 _STEP_BYTES, _STEP_COMPONENT_BYTES = 6_000, 30  # per step of a run, and per step and component
-_UNKNOWN_MACHINE = 32 * GB  # where the system does not tell
+_UNKNOWN_MACHINE = 32 * GB  # if the system does not report it
 _LIMITS_OF_CONTAINERS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
 def problem_bytes(components: int, stages: int, reactive: bool) -> int:
-    """Memory of a multi-stage problem that is solved.
+    """Estimate the memory needed to compile and solve a multi-stage problem.
 
     Parameters
     ----------
@@ -35,22 +35,22 @@ def problem_bytes(components: int, stages: int, reactive: bool) -> int:
 
 
 def series_bytes(loads: int, values: int) -> int:
-    """Memory of the demand of loads while rules make it."""
+    """Estimate the memory needed to generate the demand series of loads."""
     return loads * values * _SERIES_BYTES
 
 
 def run_bytes(components: int, steps: int) -> int:
-    """Memory of what a closed loop keeps of its steps."""
+    """Estimate the memory needed to record the steps of a closed loop."""
     return steps * (_STEP_BYTES + components * _STEP_COMPONENT_BYTES)
 
 
 def check_memory(what: str, needed: int) -> None:
-    """Raise :class:`SizeError` if the machine has less memory than is needed.
+    """Raise :class:`SizeError` if the machine has less memory than needed.
 
     Parameters
     ----------
     what
-        What is asked for, as the message begins: ``"horizon = 1,000,000"``.
+        Start of the message, which names the request: ``"horizon = 1,000,000"``.
     needed
         The estimate, bytes.
     """
@@ -64,7 +64,7 @@ def check_memory(what: str, needed: int) -> None:
 
 
 def machine_bytes() -> int:
-    """Memory of the machine, or of it what the container or the shell allows."""
+    """Return the memory of the machine, or the part that the container or the shell allows."""
     known = [_physical(), *map(_limit_in, _LIMITS_OF_CONTAINERS), _limit_of_process()]
     return min((size for size in known if size is not None), default=_UNKNOWN_MACHINE)
 
@@ -76,14 +76,14 @@ def _gigabytes(size: int) -> str:
 def _physical() -> int | None:
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # Windows has none of it
+    except (AttributeError, OSError, ValueError):  # Windows
         return None
 
 
 def _limit_in(file: str) -> int | None:
     try:
         return int(Path(file).read_text(encoding="ascii"))
-    except (OSError, ValueError):  # there is no such file, or no limit: "max"
+    except (OSError, ValueError):  # no such file, or no limit ("max")
         return None
 
 

@@ -1,4 +1,4 @@
-"""A network, a horizon, a formulation and an objective compiled into one program."""
+"""Multi-stage problems: a network, horizon, formulation and objective compiled into one program."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ class MultiStage:
     Parameters
     ----------
     network
-        The declared network.
+        The network.
     horizon
         Number of stages; 1 is an ordinary optimal power flow.
     step
         Length of a stage in hours.
     formulation
-        Name of a formulation, or an instance of one.
+        Name or instance of a formulation.
     objective
         An objective; :class:`opfmodel.Economic` by default.
     profiles
@@ -65,16 +65,16 @@ class MultiStage:
         0: the dispatch of the first stage is decided, ramp-limited from the last one applied.
         1: it is given, and decisions take effect one stage later (Faulwasser and Engelmann).
     end
-        What is asked of stored energy at the end; see :class:`End`.
+        Terminal conditions on stored energy; see :class:`End`.
     regularisation
-        Weight in $/(h p.u.²) on the squares of storage power, which makes the problem well posed and is not
-        part of any reported cost. Per unit is on :attr:`Network.scale_mva`, 100 MVA or less, and not on the
-        base that impedances are declared on. By default the objective's own.
+        Weight in $/(h p.u.²) of the squares of storage power, which make the problem well posed and are
+        part of no reported cost. Per unit refers to :attr:`Network.scale_mva`, at most 100 MVA, not to
+        the base of the impedances. The objective's own weight by default.
     elastic
-        Prices at which limits give way, so that there is always a solution; see :class:`Elastic`.
+        Penalty prices of soft limits, with which there is always a solution; see :class:`Elastic`.
         By default every limit is hard.
     devices
-        Devices for kinds of components that no plugin provides, or in place of a plugin's.
+        Devices for kinds of components without a plugin, or to replace a plugin's.
     solver, options
         Back end and its options; see :func:`solvers.prepare`.
     verbose
@@ -83,7 +83,7 @@ class MultiStage:
     Attributes
     ----------
     constraints
-        The constraints of one's own, by name; see :meth:`constrain`.
+        Custom constraints, by name; see :meth:`constrain`.
 
     Examples
     --------
@@ -154,7 +154,7 @@ class MultiStage:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was left out of the network or chosen for it."""
+        """Notes on the network: components left out, and choices made for it."""
         return self.arrays.notes
 
     def constrain(
@@ -165,21 +165,19 @@ class MultiStage:
         at_least: npt.ArrayLike | None = None,
         at_most: npt.ArrayLike | None = None,
     ) -> None:
-        """State a constraint of one's own, for every formulation that publishes what it uses.
+        """Add a custom constraint, for every formulation that publishes the quantities it uses.
 
-        Results have its price ``<name>_price``: how much the cost in $/h rises when its right-hand
-        side rises by one unit. It is positive where a least value binds, negative where a
-        largest value does, zero where the constraint does not matter. A constraint of some of the
-        stages only has none.
+        Results contain its price ``<name>_price``: the increase in cost, $/h, per unit increase of the
+        right-hand side. It is positive where a lower limit binds, negative where an upper limit binds, and
+        zero elsewhere. A constraint on only some of the stages has no price.
 
         Parameters
         ----------
         name
-            Its name, for messages and prices.
+            Name for messages and prices.
         constraint
-            A function of the stage, whose quantities are in physical units here. It returns a
-            comparison, entry by entry or of totals; or a quantity or total, which the limits
-            below are then for.
+            A function of the stage, with quantities in physical units. It returns a comparison, elementwise
+            or of totals, or a quantity or total to which the limits below apply.
         at_least, at_most
             Limits in physical units: a number, or one value per time step, which moves with the
             horizon as profiles do.
@@ -190,7 +188,7 @@ class MultiStage:
 
             plan.constrain("reserve", lambda s: om.total(s.generator.p_max - s.generator.pg) >= 100)
 
-        and one that differs from step to step::
+        and one that varies over time::
 
             plan.constrain(
                 "reserve",
@@ -199,7 +197,7 @@ class MultiStage:
             )
         """
         if "_compiled" in self.__dict__:
-            raise ModelError(f"constraint {name!r}: the problem is compiled already; state constraints first")
+            raise ModelError(f"constraint {name!r}: the problem is already compiled; add constraints first")
         if name in self.constraints:
             raise ModelError(f"two constraints are named {name!r}")
         if fault := name_fault(name):
@@ -210,7 +208,7 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: {error}") from error
 
     def elastic_twin(self, prices: Elastic | None = None) -> MultiStage:
-        """The same problem with limits that give way at a price, to tell what it lacks.
+        """Return the same problem with soft limits, to diagnose its shortfalls.
 
         Examples
         --------
@@ -230,12 +228,12 @@ class MultiStage:
     def variant(
         self, *, elastic: Elastic | None, objective: Objective | None = None, rationed: bool = False
     ) -> MultiStage:
-        """The same problem with other prices of shortages, another objective, or shortages that are limited.
+        """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
 
         Parameters
         ----------
         rationed
-            Whether every solve states what the shortages may cost.
+            Whether every solve limits the penalty.
         """
         twin = copy(self)
         for name in ("_compiled", "_objective_series", "shortage_problems"):
@@ -246,12 +244,12 @@ class MultiStage:
         return twin
 
     def is_variant_of(self, other: MultiStage) -> bool:
-        """Whether one is the other, or was made of it by :meth:`variant`."""
+        """Return whether this is the other problem, or a :meth:`variant` of the same one."""
         return self._family is other._family
 
     @cached_property
     def shortage_problems(self) -> tuple[MultiStage, MultiStage]:
-        """The problems of the least shortage, and of the least cost at a given shortage."""
+        """The problem of minimum penalty, and that of minimum cost at a given penalty."""
         least = self.variant(elastic=self.elastic, objective=Nothing(self.objective))
         return least, self.variant(elastic=self.elastic, rationed=True)
 
@@ -261,20 +259,21 @@ class MultiStage:
         model = self.model
         named: dict[str, Published | Price] = {**model.published, **model.reported, **model.prices}
         slacks = {
-            name: (s.soft.unit, s.soft.sentence(s.side).format("so much")) for name, s in model.slacks.items()
+            name: (s.soft.unit, s.soft.sentence(s.side).format("this amount"))
+            for name, s in model.slacks.items()
         }
         injections = {i.name: (i.unit, i.description) for i in model.injections}
         return slacks | {name: (p.unit, p.description) for name, p in named.items()} | injections
 
     def check_lengths(self, steps: int, metered: Objective | None = None) -> None:
-        """Raise :class:`ModelError` unless everything that changes in time is long enough for a closed loop.
+        """Raise :class:`ModelError` if data that vary over time are too short for a closed loop.
 
         Parameters
         ----------
         steps
             Steps of the loop; the plan of the last one looks a horizon ahead.
         metered
-            What the steps cost, if it is not the objective.
+            Objective that evaluates the realised costs; by default that of the problem.
         """
         planned = steps + self.horizon - 1
         lengths = [("time series", self.profiles.length, planned)]
@@ -287,16 +286,16 @@ class MultiStage:
             if length is not None and length < needed:
                 raise ModelError(
                     f"{steps} steps with a horizon of {self.horizon} need {what} of {needed} values; "
-                    f"the shortest has {length}; give longer series, or less horizon or steps"
+                    f"the shortest has {length}; extend the series, or reduce the horizon or the steps"
                 )
 
     def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
-        """The network with the time series of the steps from ``start`` on.
+        """Return the network with the time series of ``stages`` steps from ``start``.
 
         Parameters
         ----------
         objective
-            Whose own series are put in; by default those of the problem's objective.
+            The objective whose series are included; by default that of the problem.
 
         Raises
         ------
@@ -330,16 +329,16 @@ class MultiStage:
 
     @property
     def model(self) -> Model:
-        """What formulation and devices declared; compiled if need be."""
+        """Declarations of the formulation and the devices; compiles the problem if necessary."""
         return self._compiled[0]
 
     def declare(self, stages: int | None = None) -> Model:
-        """What formulation and devices declare, without objective and constraints; not kept.
+        """Return the declarations of formulation and devices, without objective and constraints; uncached.
 
         Parameters
         ----------
         stages
-            Number of stages, if it is not the horizon.
+            Number of stages, if it differs from the horizon.
         """
         own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
@@ -358,7 +357,7 @@ class MultiStage:
         return model
 
     def compile(self) -> Program:
-        """The program; compiled at the first call, and by :meth:`solve` if need be."""
+        """Return the program, compiled at the first call or solve."""
         return self._compiled[1]
 
     @cached_property
@@ -386,14 +385,14 @@ class MultiStage:
             able = publishing(missing, self.arrays, self.devices)
             raise IncompatibleError(
                 f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
-                f"{self.formulation.name!r} with the devices of {self.network.name!r} does not have"
-                + (f"; formulations that publish it: {', '.join(able)}" if able else "")
+                f"{self.formulation.name!r} with the devices of {self.network.name!r} does not publish"
+                + (f"; formulations that do: {', '.join(able)}" if able else "")
             )
 
     def explain(self, error: QuantityError) -> ModelError:
-        """What is wrong with a constraint that uses a quantity which is not published here.
+        """Return the error of a constraint that uses an unpublished quantity.
 
-        An :class:`IncompatibleError` where other formulations publish it, else the error itself.
+        An :class:`IncompatibleError` if other formulations publish it, else the given error.
         """
         able = publishing([error.quantity], self.arrays, self.devices)
         if not able or self.formulation.name in able:
@@ -439,24 +438,24 @@ class MultiStage:
             First step of the profiles.
         initial
             Initial values by state (``e`` in MWh, ``pg`` in MW, ``qg`` in MVAr), one per
-            component; None leaves a state free. A state that is not mentioned starts from its
+            component; None leaves a state free. A state not listed starts from its
             component (``Storage.initial``) or is free.
         previous
-            An earlier plan of this problem to start from; it is shifted by the difference in time.
+            An earlier plan of this problem to warm-start from, shifted by the difference in time.
         end
-            Something else to ask at the end of the horizon, for this solve.
+            Terminal conditions of this solve, in place of the problem's.
         multipliers
-            Whether the start has the multipliers of the earlier plan too; without them it is only
-            another point to start from.
+            Whether the warm start includes the multipliers of the earlier plan; without them, only its
+            primal point is used.
         expected
             Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
-            in place of those that the profiles or the objective have: a forecast, say.
+            in place of those of the profiles or the objective; for instance a forecast.
 
         Returns
         -------
         Plan
-            Also when the solver failed; see :attr:`Plan.status`. Of an elastic problem, the cheapest plan
-            among those with the least priced shortage.
+            Also if the solver fails; see :attr:`Plan.status`. For an elastic problem, the cheapest of the
+            plans with the minimum penalty.
         """
         request = Request(time, initial, self.end if end is None else end, expected)
         plan = self.solve_once(request, previous, multipliers)
@@ -469,29 +468,27 @@ class MultiStage:
         multipliers: bool = True,
         ceiling: float | None = None,
     ) -> Plan:
-        """Solve the compiled problem as it is; of an elastic one, cost and priced shortage together.
+        """Solve the compiled problem once; an elastic one for the sum of cost and penalty.
 
         Parameters
         ----------
         ceiling
-            Of a rationed problem, what its shortages may cost, p.u. h of the cheapest kind.
+            Limit on the penalty of a rationed problem, p.u. h of the cheapest kind.
         """
         time, initial, end = request.time, request.initial, request.end
         if isinstance(time, bool) or not isinstance(time, int | np.integer) or time < 0:
-            raise ModelError(f"time = {time!r}: must be a step of the profiles, a whole number from 0 on")
+            raise ModelError(f"time = {time!r}: must be a step of the profiles (a whole number, at least 0)")
         model, program, session = self._compiled
         if (
             previous is not None
             and previous.problem is not self
             and previous.solution.x.size != program.n_variables
         ):
-            raise ModelError("previous: it is a plan of another problem, with other variables")
+            raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
         for key in request.expected or {}:
             if key not in model.series:
                 known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
-                raise ModelError(
-                    f"expected: {'.'.join(key)}: only what has a time series can be expected: {known}"
-                )
+                raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
         network = self.window(time, self.horizon).with_series(request.expected or {})
         numbers = Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
@@ -525,7 +522,7 @@ def _start(previous: Plan | None, program: Program, time: int, multipliers: bool
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
     moved = previous.solution.shifted(time - previous.time)
-    if previous.solution.program is not program:  # found at the least shortage, with other rows or variables
+    if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(moved.x) if moved.x.size == program.n_variables else None
     return moved if multipliers else Start(moved.x)
 
@@ -538,6 +535,6 @@ def _numbers(state: str, given: npt.ArrayLike) -> Array:
 
 
 def _of_constraint(name: str, error: Exception) -> ModelError:
-    """The error of a constraint with its name in front."""
+    """Return an error with the name of its constraint in front."""
     kind = IncompatibleError if isinstance(error, IncompatibleError) else ModelError
     return kind(f"constraint {name!r}: {error}")

@@ -1,4 +1,4 @@
-"""The numbers of one solve: parameters and bounds of a compiled program."""
+"""The instance data of one solve: parameters and bounds of a compiled program."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Numbers:
-    """The parameters and bounds of one solve."""
+    """The instance data of one solve."""
 
     def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
         self.model = model
@@ -39,7 +39,7 @@ class Numbers:
                 self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
 
     def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
-        """Bounds of a stage hold at its end; the first point of a stock has those of the first stage."""
+        """Fit stage bounds to a block: they hold at stage ends, those of the first stage at its start too."""
         stages = (self.program.variables.get(name) or self.program.rows[name]).stages
         given = values.shape[-1] if values.ndim == 2 else 1
         if 1 < given == stages - 1:
@@ -47,7 +47,7 @@ class Numbers:
         return np.asarray(values[:, -stages:]) if given > stages else values
 
     def _bounds(self, name: str) -> tuple[Array, Array]:
-        """Bounds of a block as arrays that can be changed."""
+        """Return the bounds of a block as writable arrays."""
         block = self.program.variables.get(name) or self.program.rows[name]
         for side, default in ((self.lower, block.lower), (self.upper, block.upper)):
             side[name] = np.array(block.spread(side.get(name, default)))
@@ -60,8 +60,8 @@ class Numbers:
             values = np.asarray(values, dtype=float)
             if values.shape != (self.program.variables[name].items,) or np.isnan(values).any():
                 raise ModelError(
-                    f"initial {name}: {self.program.variables[name].items} numbers are needed, "
-                    f"one per {state.kind}, not {values!r}"
+                    f"initial {name}: must be one number per {state.kind}, "
+                    f"{self.program.variables[name].items} in total, not {values!r}"
                 )
         if (state.role == "stock" or delay == 1) and values is not None:
             lower, upper = self._bounds(name)
@@ -74,7 +74,7 @@ class Numbers:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End) -> None:
-        """State what is asked of stored energy at the end of the horizon."""
+        """Apply the terminal conditions to stored energy."""
         state = self.model.states[name]
         if state.is_energy:
             if end.cyclic:
@@ -87,9 +87,9 @@ class Numbers:
             self.parameters[f"{name}_end_price"] = np.array([price])
 
     def limit(self, rows: str, lower: Array, upper: Array) -> None:
-        """Give rows their limits, one value per stage."""
+        """Set the limits of rows, one value per stage."""
         self.lower[rows], self.upper[rows] = lower[None, :], upper[None, :]
 
     def instance(self) -> Instance:
-        """The numbers as an instance of the program."""
+        """Return the instance of the program."""
         return self.program.instance(self.parameters, self.lower, self.upper)

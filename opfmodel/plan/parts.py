@@ -1,4 +1,4 @@
-"""The formulation and the devices of a problem, and what they publish together."""
+"""The formulation and the devices of a problem, and the quantities that they publish."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["make_devices", "make_formulation", "publishing"]
 
 
 def make_formulation(formulation: str | Formulation) -> Formulation:
-    """A formulation by name, or as given."""
+    """Return a formulation, given by name or as an instance."""
     if isinstance(formulation, Formulation):
         return formulation
     if not isinstance(formulation, str):
@@ -27,7 +27,7 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
 
 
 def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
-    """The devices of a network: one object per kind that has components and takes part in the balance."""
+    """Return the devices of a network: one per kind that has components and takes part in the balance."""
     wired = ("bus", "branch", "shunt")
     by_kind = {device.component.kind: device for device in given}
     return [
@@ -38,7 +38,7 @@ def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[
 
 
 def publishing(quantities: Sequence[str], network: PerUnitNetwork, devices: Sequence[Device]) -> list[str]:
-    """Formulations that, with the devices of a network, publish some quantities."""
+    """Return the formulations that, with the devices of a network, publish the given quantities."""
     of_devices = {reactive: _of_devices(network, devices, reactive) for reactive in (False, True)}
     able = []
     for name, plugin in plugins.plugins("formulation").items():
@@ -53,7 +53,7 @@ def publishing(quantities: Sequence[str], network: PerUnitNetwork, devices: Sequ
 
 
 def _of_devices(network: PerUnitNetwork, devices: Sequence[Device], reactive: bool) -> set[str]:
-    """What devices publish with formulations that have reactive power, or that have none."""
+    """Return the quantities that devices publish with or without reactive power."""
     model = Model(network, stages=1, step=1.0, reactive=reactive, zones=np.arange(len(network.bus)))
     for device in devices:
         model.connect(device)

@@ -1,4 +1,4 @@
-"""What one solve is asked for."""
+"""The arguments of one solve."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Initial = Mapping[str, "npt.ArrayLike | None"]
 
 @dataclass(frozen=True)
 class Request:
-    """The stages, the state and the data of one solve; see :meth:`opfmodel.MultiStage.solve`."""
+    """The stages, initial state and data of one solve; see :meth:`opfmodel.MultiStage.solve`."""
 
     time: int
     initial: Initial | None

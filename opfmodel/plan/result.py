@@ -29,17 +29,17 @@ Array = npt.NDArray[np.float64]
 class Plan:
     """The result of one solve: trajectories in physical units, status and effort.
 
-    Where the solver found no optimum there are no values: the objective, the quantities and the prices are
-    NaN. The point at which it stopped is ``solution.x``.
+    If the solver found no optimum, the objective, the quantities and the prices are NaN, and
+    ``solution.x`` is the point at which it stopped.
 
     Attributes
     ----------
     model, network
-        What was declared, and the arrays of the network with the series of the window.
+        The declarations, and the arrays of the network with the series of the window.
     solution
         The certified solution of the program.
     least
-        Of an elastic problem, the solution with the least shortage whatever it costs.
+        The minimum-penalty solution of an elastic problem, whatever its cost.
     time
         First step of the plan.
     """
@@ -76,17 +76,17 @@ class Plan:
 
     @property
     def optimal(self) -> bool:
-        """Whether the plan is an optimum."""
+        """Whether the plan is optimal."""
         return self.solution.status.is_optimal
 
     @property
     def infeasible(self) -> bool:
-        """Whether the problem has no solution, as far as the solver can tell."""
+        """Whether the problem is infeasible, as far as the solver can tell."""
         return self.solution.status.is_infeasible
 
     @cached_property
     def objective(self) -> float:
-        """Value of the objective in $ over the horizon, without regularisation; NaN without an optimum."""
+        """Value of the objective in $ over the horizon, without regularisation; NaN unless optimal."""
         if not self.optimal:
             return np.nan
         stage = self.stage
@@ -97,14 +97,14 @@ class Plan:
 
     @cached_property
     def stage(self) -> NumericStage:
-        """The quantities of the plan as numbers in per unit, for metering costs."""
+        """The published quantities of the plan as numbers in per unit, for evaluating costs."""
         published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
         return NumericStage(self.network, self.problem.step, published, self.model.devices)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
-        """All published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
+        """Return all published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
 
-        And what devices of other packages feed into the buses, as ``("bus", "<kind>_p")`` and ``_q``.
+        Injections by devices of other packages are ``("bus", "<kind>_p")`` and ``_q``.
         """
         named = {**self.model.published, **self.model.reported}
         values = {(p.kind, name): self.solution.value(name) for name, p in named.items()}
@@ -114,11 +114,11 @@ class Plan:
         return self._held(values)
 
     def _held(self, values: dict[tuple[str, str], Array]) -> dict[tuple[str, str], Array]:
-        """The values if the plan is an optimum; NaN in their place if it is not."""
+        """Return the values if the plan is optimal, else NaN in their place."""
         return values if self.optimal else {key: np.full_like(value, np.nan) for key, value in values.items()}
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
-        """By how much limits are exceeded in an elastic plan, p.u., as :meth:`quantities`."""
+        """Return the limit violations of an elastic plan, p.u., in the form of :meth:`quantities`."""
         network, stages = self.network, self.problem.horizon
         return {
             (slack.kind, name): slack.spread(
@@ -130,7 +130,7 @@ class Plan:
 
     @cached_property
     def shortages(self) -> tuple[Shortage, ...]:
-        """What an elastic problem lacks, the dearest first; nothing where every limit is hard."""
+        """Shortfalls of an elastic plan, the most expensive first; empty if every limit is hard."""
         prices = self.problem.elastic
         if prices is None or not self.optimal:
             return ()
@@ -139,25 +139,25 @@ class Plan:
 
     @property
     def penalty(self) -> float:
-        """What the shortages of an elastic plan cost at its prices, $; 0 where every limit is hard."""
+        """Penalty of the shortfalls of an elastic plan, $; 0 if every limit is hard."""
         return sum(float(self.solution.value(name).sum()) for name in penalty_outputs(self.model))
 
     def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
-        """The states after the first stage has been applied, in physical units.
+        """Return the states after the first stage, in physical units.
 
         Parameters
         ----------
         happened
-            Per-unit values ``(items,)`` by ``(kind, name)`` of the first stage, if it was not what was
-            planned. A dispatch that is committed one stage ahead stays as planned.
+            Realised per-unit values ``(items,)`` of the first stage by ``(kind, name)``, if they differ
+            from the plan. A dispatch that is committed one stage ahead stays as planned.
 
         Raises
         ------
         ModelError
-            The plan is no optimum.
+            The plan is not optimal.
         """
         if not self.optimal:
-            raise ModelError(f"the plan from step {self.time} is {self.status}: it leads to no state")
+            raise ModelError(f"the plan from step {self.time} is {self.status}: it has no next state")
         out = {}
         committed = self.problem.generator_delay == 1
         for state in self.model.states.values():
@@ -167,14 +167,14 @@ class Plan:
             elif state.role == "stock" or not committed:
                 values = self.solution.value(name)[:, 0]
             elif self.problem.horizon == 1:
-                raise IncompatibleError("with generator_delay = 1 a receding horizon needs at least 2 stages")
+                raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:
                 values = self.solution.value(name)[:, 1]
             out[state.name] = values * scale(state.unit, self.network.base_mva)
         return out
 
     def stocks(self) -> dict[str, Array]:
-        """The stocks that the plan starts from, in physical units."""
+        """Return the stored quantities at the start of the plan, in physical units."""
         return {
             state.name: self._points(state.name)[:, 0] * scale(state.unit, self.network.base_mva)
             for state in self.model.states.values()
@@ -182,7 +182,7 @@ class Plan:
         }
 
     def decisions(self) -> list[tuple[str, str]]:
-        """Published quantities, by ``(kind, name)``, that are variables: neither stocks nor results."""
+        """Return the published quantities that are decision variables but not stocks, by ``(kind, name)``."""
         return [
             (p.kind, name)
             for name, p in self.model.published.items()
@@ -215,27 +215,27 @@ class Plan:
         return made
 
     def price(self, name: str) -> Array:
-        """A shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
+        """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
         return self.model.prices[name].read(self.solution, self.network)
 
     def prices(self) -> dict[tuple[str, str], Array]:
-        """All shadow prices by ``(kind, name)``; see :meth:`price`."""
+        """Return all shadow prices by ``(kind, name)``; see :meth:`price`."""
         return self._held({(price.kind, name): self.price(name) for name, price in self.model.prices.items()})
 
     @cached_property
     def relaxation(self) -> dict[str, float]:
-        """How far the plan is from the equations that its formulation relaxes, by name.
+        """Deviation of the plan from the equations that its formulation relaxes, by name.
 
-        For ``soc`` the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
-        in degrees: the relaxation is exact where both vanish. Empty for formulations that relax
-        nothing and for plans that are no optimum.
+        For ``soc``, the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
+        in degrees: the relaxation is exact if both vanish. Empty for formulations that relax
+        nothing and for plans that are not optimal.
         """
         if not self.optimal:
             return {}
         return self.problem.formulation.relaxation(self.solution, self.network)
 
     def relaxation_gap(self, exact: Plan | float) -> float:
-        """How far the objective lies below that of an exact formulation: ``(exact - this) / |exact|``."""
+        """Return the relative gap to an exact formulation, ``(exact - this) / |exact|``."""
         other = exact.objective if isinstance(exact, Plan) else float(exact)
         return (other - self.objective) / abs(other)
 
@@ -247,10 +247,10 @@ class Plan:
 
 
 def penalty_outputs(model: Model) -> list[str]:
-    """Names of the program's outputs with what shortages cost."""
+    """Return the names of the program outputs that hold the penalties."""
     return [f"penalty {number}" for number in range(1, len(model.penalties) + 1)]
 
 
 def status_word(status: SolutionStatus) -> str:
-    """A status as the command line and results spell it."""
+    """Return a status as the command line and results spell it."""
     return "stopped" if status is SolutionStatus.NONE else status.value.replace(" ", "_")

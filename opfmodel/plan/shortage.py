@@ -1,4 +1,4 @@
-"""The least shortage first, then the least cost: elastic plans in which no cost outbids a shortage."""
+"""Elastic plans in two steps: minimum penalty first, then minimum cost."""
 
 from __future__ import annotations
 
@@ -21,54 +21,54 @@ if TYPE_CHECKING:
 
 __all__ = ["CEILING", "Nothing", "limit_shortage", "without_outbidding"]
 
-CEILING = "shortage"  # name of the row that limits the priced shortage
+CEILING = "shortage"  # name of the row that limits the penalty
 
-# Two shortages are the same within the first, relative and in p.u. h. The second is what a limit on the
-# shortage leaves to the solver; it must exceed the solver's own tolerance.
+# Both are relative and, in p.u. h, absolute: the tolerance within which two penalties are equal, and the
+# margin that a limit on the penalty leaves to the solver, which must exceed the solver's tolerance.
 _SAME, _SLACK = 1e-4, 1e-6
 
 
 class Nothing(Objective):
-    """No cost at all, so that only shortages count.
+    """No cost, which leaves only the penalty to minimise.
 
     Parameters
     ----------
     objective
-        The objective that it stands in for, whose series the network keeps.
+        The objective that it replaces; the network keeps its series.
     """
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], npt.NDArray[np.float64]]:
-        """The series of the objective."""
+        """Return the series of the objective."""
         return self.objective.series(network)
 
     def stage_cost(self, stage: Stage) -> Any:  # noqa: ARG002
-        """None."""
+        """Return None."""
         return None
 
 
 def limit_shortage(model: Model) -> None:
-    """State a row with the priced shortage of all stages, p.u. h of the cheapest kind; free so far."""
+    """Add a row with the penalty of all stages, in p.u. h of the cheapest kind; free until limited."""
     rows = model.build.rows(CEILING, 1, 1, -np.inf, np.inf)
     for cost in model.penalties:
         model.build.add(cost / _unit(model), into=rows)
 
 
 def without_outbidding(problem: MultiStage, plan: Plan, request: Request) -> Plan:
-    """The cheapest of the plans with the least priced shortage.
+    """Return the cheapest of the plans with the minimum penalty.
 
     Parameters
     ----------
     plan
-        The plan with the least sum of cost and priced shortage. It is the one that is wanted unless some
-        cost is higher than the price of a shortage, so that a shortage was accepted to save it.
+        The plan with the minimum sum of cost and penalty. It is the result unless some cost exceeds the
+        price of a shortfall, which was then accepted to save that cost.
     """
     least_shortage, rationed = problem.shortage_problems
     least = least_shortage.solve_once(request)
     if not least.optimal:
-        note = f"whether the shortage is the least is not known: {least.termination}"
+        note = f"the minimum shortfall is not known: {least.termination}"
         return _with_effort(problem, plan, [least], plan.solution, note)
     unit = _unit(plan.model)
     if plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
@@ -76,13 +76,13 @@ def without_outbidding(problem: MultiStage, plan: Plan, request: Request) -> Pla
     ceiling = (1.0 + _SLACK) * least.penalty / unit + _SLACK
     cheapest = rationed.solve_once(request, ceiling=ceiling)
     if not cheapest.optimal:
-        note = f"the cheapest plan with this shortage was not found: {cheapest.termination}"
+        note = f"the cheapest plan with this shortfall was not found: {cheapest.termination}"
         return _with_effort(problem, least, [plan, cheapest], least.solution, note)
     return _with_effort(problem, cheapest, [plan, least], least.solution)
 
 
 def _unit(model: Model) -> float:
-    """What 1 p.u. h of the cheapest shortage costs, $."""
+    """Return the penalty of 1 p.u. h of the cheapest kind of shortfall, $."""
     assert model.elastic is not None
     prices = (model.elastic.limit, model.elastic.shedding, model.elastic.balance)
     return min(prices) * model.network.base_mva
@@ -91,7 +91,7 @@ def _unit(model: Model) -> float:
 def _with_effort(
     problem: MultiStage, plan: Plan, others: list[Plan], least: Solution, note: str = ""
 ) -> Plan:
-    """A plan with the effort of others added to its own, and something to know about it."""
+    """Return a plan with the effort of other solves added to its own, and a note in its message."""
     solutions = [p.solution for p in (plan, *others)]
     counted = [s.iterations for s in solutions if s.iterations is not None]
     solution = replace(

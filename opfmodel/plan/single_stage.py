@@ -1,4 +1,4 @@
-"""The sequence of single-stage optima: what the grid would do without storage and ramps."""
+"""The sequence of single-stage optima: operation without storage and ramps."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ Index = npt.NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class SingleStageSequence:
-    """The optimal power flow of each step by itself, (x_s, u_s)(d).
+    """The optimal power flow of each step on its own, (x_s, u_s)(d).
 
     Attributes
     ----------
     plan
-        The optima of the steps that differ, as the stages of one plan.
+        Optima of the distinct steps, as the stages of one plan.
     stage
-        Stage of the plan that belongs to each step.
+        Stage of the plan for each step.
     step
         Hours per step.
     """
@@ -61,7 +61,7 @@ class SingleStageSequence:
 
     @property
     def cost(self) -> float:
-        """Sum over all steps, $."""
+        """Total cost of all steps, $."""
         return float(self.cost_rate.sum()) * self.step
 
     @cached_property
@@ -71,12 +71,12 @@ class SingleStageSequence:
         return self.plan.data.isel(time=self.stage).assign_coords(time=times)
 
     def setpoints(self, share: float = 0.5) -> Setpoints:
-        """Set-points for :class:`opfmodel.SetpointTracking`.
+        """Return set-points for :class:`opfmodel.SetpointTracking`.
 
         Parameters
         ----------
         share
-            Stored energy as a share of the capacity; storages are at rest.
+            Stored energy as a share of the capacity; storage power is zero.
         """
         data = self.data
         values: dict[str, npt.ArrayLike] = {}
@@ -92,23 +92,22 @@ class SingleStageSequence:
 
 
 def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> SingleStageSequence:
-    """Solve every step by itself, without storage, ramps and constraints of one's own.
+    """Solve every step on its own, without storage, ramps and custom constraints.
 
-    All steps are stages of one program that nothing couples; steps with equal numbers are solved
-    once.
+    All steps are stages of one program without coupling; steps with equal data are solved once.
 
     Parameters
     ----------
     problem
-        Its network, profiles, formulation and objective count.
+        The problem that provides the network, profiles, formulation and objective.
     steps, start
-        Number of steps, and the first of them.
+        Number of steps, and the first step.
 
     Raises
     ------
     ModelError
-        A step has no solution; the message names it and why the solver stopped. Or a device of
-        another package couples the steps.
+        A step has no solution (the message names the step and the reason), or a device of another
+        package couples the steps.
     """
     network = _alone(problem.network)
     storages = problem.network.of(Storage)
@@ -146,13 +145,13 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
         if stages > 1 and carried:
             raise IncompatibleError(
                 f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "
-                "they are for grids whose only stores are storages"
+                "only storages may do so"
             )
         return alone.solve(expected={key: values[:, chosen] for key, values in own.items()})
 
     plan = solve(first)
     if not plan.optimal:
-        for step in first:  # find out which
+        for step in first:  # find the step at fault
             alone = solve(np.array([step]))
             if not alone.optimal:
                 raise ModelError(
@@ -163,7 +162,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
 
 
 def _alone(network: Network) -> Network:
-    """The network without storage and ramps."""
+    """Return the network without storage and ramps."""
     alone = network.copy()
     for name in network.of(Storage):
         alone.remove(name)
@@ -176,7 +175,7 @@ def _alone(network: Network) -> Network:
 def _of_objective(
     objective: Objective, network: Network, start: int, steps: int
 ) -> dict[tuple[str, str], Array]:
-    """The objective's own numbers that change in time, in per unit, from a step on."""
+    """Return the time-varying data of the objective from a step on, in per unit."""
     own = {}
     for key, values in objective.series(per_unit(network)).items():
         if values.shape[1] == 1:
@@ -191,7 +190,7 @@ def _of_objective(
 
 
 def _distinct(rows: Sequence[Array], steps: int) -> tuple[Index, Index]:
-    """First step of each distinct set of numbers, and the position of each step among these."""
+    """Return the first step of each distinct set of data, and the position of each step among these."""
     if not rows:
         return np.zeros(1, dtype=np.intp), np.zeros(steps, dtype=np.intp)
     columns = np.vstack(rows)

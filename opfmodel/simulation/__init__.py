@@ -1,4 +1,4 @@
-"""The closed loop: a controller that plans, a plant that responds, and what happened."""
+"""The closed loop: a controller that plans, a plant that responds, and the record of the run."""
 
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
 from opfmodel.simulation.loop import check_response, simulate

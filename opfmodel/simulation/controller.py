@@ -1,4 +1,4 @@
-"""The controller: plans at every step, from its last plan or from nothing."""
+"""The controller, which plans at every step from a warm or cold start."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ OnInfeasible = Literal["stop", "elastic"]
 
 @dataclass(frozen=True)
 class Attempt:
-    """One solve on the way to a plan.
+    """One of the solves that led to a plan.
 
     Attributes
     ----------
     start
-        ``warm`` (the last plan moved ahead, with its multipliers), ``cold``, ``other`` (the last plan
-        moved ahead, without multipliers) or ``elastic`` (the twin whose limits give way).
+        ``warm`` (the shifted last plan with its multipliers), ``cold``, ``other`` (the shifted last
+        plan without multipliers) or ``elastic`` (the same problem with soft limits).
     """
 
     start: str
@@ -42,22 +42,21 @@ class Attempt:
 
 
 class Controller:
-    """Plans at every step with the same compiled problem, starting from its last plan.
+    """A controller that solves the same compiled problem at every step, warm-started from its last plan.
 
-    A solve that fails is repeated from other starting points before the failure is accepted: warm,
-    cold, other, and, if asked for, elastic; :attr:`attempts` has them all.
+    A failed solve is repeated from other starting points before the failure is accepted: warm,
+    cold, other and, if requested, elastic. :attr:`attempts` records them all.
 
     Parameters
     ----------
     problem
-        The multi-stage problem that is solved at every step. Its profiles are what happens.
+        The multi-stage problem solved at every step. Its profiles are the realised values.
     forecast
-        What is expected of the profiles instead; what happens by default.
+        Forecast of the profiles; their realised values by default.
     on_infeasible
-        What to do when a problem has no solution: ``stop``, or ``elastic``: plan with limits that give
-        way at a price.
+        Response to an infeasible problem: ``stop``, or ``elastic`` to plan with soft limits.
     elastic
-        Those prices.
+        Penalty prices of the soft limits.
 
     Attributes
     ----------
@@ -82,11 +81,11 @@ class Controller:
         self._last: Plan | None = None
 
     def begin(self) -> None:
-        """Begin a run, and forget the last one."""
+        """Start a run and discard the history of the last one."""
         self._last, self.attempts = None, []
 
     def plan(self, time: int, state: Initial | None) -> Plan:
-        """Plan from ``state`` at step ``time``; a plan that failed says so by its status."""
+        """Plan from ``state`` at step ``time``; a failure is reported by the plan's status."""
         expected, last = self._expected(time), self._last
         if last is not None and last.time > time:  # another run has begun
             last = None
@@ -121,7 +120,7 @@ class Controller:
         return self.problem.elastic_twin(self.elastic)
 
     def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
-        """What is expected of the stages ahead, in per unit; None for what happens.
+        """Return the forecast of the stages ahead, in per unit; None for the realised values.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class Controller:
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
         ahead = window(expected, problem.arrays, 0, problem.horizon)
-        if ("generator", "p_max") in ahead:  # a unit that runs can at least do that
+        if ("generator", "p_max") in ahead:  # never below minimum output
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
             ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
         return ahead

@@ -1,4 +1,4 @@
-"""The closed loop: a controller plans, a plant responds, time moves on."""
+"""The closed loop: a controller plans, a plant responds, time advances."""
 
 from __future__ import annotations
 
@@ -32,43 +32,43 @@ def simulate(
     progress: bool = False,
     on_step: Callable[[Run], None] | None = None,
 ) -> Run:
-    """Run the closed loop: plan, apply the first stage, move on.
+    """Run the closed loop: plan, apply the first stage, advance by one step.
 
     Parameters
     ----------
     controller
-        A controller, or the problem it is to solve.
+        A controller, or a problem for which one is created.
     plant
-        What answers the plans; the nominal plant by default.
+        The plant that responds to the plans; the nominal plant by default.
     steps
         Number of steps.
     initial
         State at the first step, in physical units; see :meth:`MultiStage.solve`.
     objective
-        What the realised cost is metered with; the controller's own objective by default.
+        Objective that measures the realised cost; the controller's own by default.
     on_infeasible
-        ``stop``, the default, or ``elastic``, where a problem is given in place of a controller.
+        ``stop``, the default, or ``elastic``; only if ``controller`` is a problem.
     progress
         Whether to show a progress bar on standard error.
     on_step
-        Called after every step with the run so far.
+        Function called with the run after every step.
 
     Returns
     -------
     Run
-        Also if a plan failed or the user pressed Ctrl-C: then with the steps done so far.
+        Also if a plan fails or the user presses Ctrl-C, with the steps completed so far.
 
     Raises
     ------
     ModelError
         The time series are too short, or the forecast is imperfect and the plant nominal.
     SizeError
-        The results of so many steps need more memory than the machine has.
+        The results of the steps need more memory than the machine has.
     """
     if isinstance(controller, MultiStage):
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
     elif on_infeasible is not None:
-        raise ModelError(f"on_infeasible = {on_infeasible!r}: a controller has its own; state it there")
+        raise ModelError(f"on_infeasible = {on_infeasible!r}: belongs to the controller; set it there")
     if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
         raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
     plant = NominalPlant() if plant is None else plant
@@ -108,7 +108,7 @@ def simulate(
 
 
 def check_response(forecast: Forecast | None, plant: Plant) -> None:
-    """Raise :class:`IncompatibleError` if plans for demand that does not come would count as what happens."""
+    """Raise :class:`IncompatibleError` if the plant needs a perfect forecast and has an imperfect one."""
     if plant.needs_perfect_forecast and not (forecast is None or forecast.perfect):
         raise IncompatibleError(
             f"forecast {type(forecast).__name__} with {type(plant).__name__}: the balance would not hold; "
@@ -134,7 +134,7 @@ def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any
 
 @contextmanager
 def _progress(steps: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on standard error; gives a function that advances it."""
+    """Show a progress bar on standard error; yield a function that advances it."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

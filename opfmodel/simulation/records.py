@@ -1,4 +1,4 @@
-"""What is measured in every step: limits that are exceeded, changes of set-points, energy not served."""
+"""Measurements of every step: limit violations, changes of set-points, unserved energy."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ __all__ = ["DESCRIBED", "changes", "excesses", "summarise"]
 Array = npt.NDArray[np.float64]
 Values = Mapping[tuple[str, str], Array]
 
-# Unit and description of everything that is measured.
+# Unit and description of every measured quantity.
 DESCRIBED = {
     "vm_excess": ("p.u.", "voltage outside its limits"),
     "flow_excess": ("MVA", "apparent power above the rating, at the worse end"),
     "angle_excess": ("deg", "angle difference outside its limits"),
     "pg_excess": ("MW", "active generation outside its limits"),
     "qg_excess": ("MVAr", "reactive generation outside its limits"),
-    "ramp_excess": ("MW", "change of generation above the ramp"),
+    "ramp_excess": ("MW", "change of generation beyond the ramp limit"),
     "e_excess": ("MWh", "stored energy at the end of a stage outside its limits"),
-    "pg_redispatch": ("MW", "distance of generation from its set-point"),
-    "ps_redispatch": ("MW", "distance of charging power from its set-point"),
-    "pg_curtailed": ("MW", "available power that is not generated"),
-    "p_unserved": ("MW", "active demand not served"),
-    "q_unserved": ("MVAr", "reactive demand not served"),
-    "p_shortage": ("MW", "active power from nowhere"),
-    "p_surplus": ("MW", "active power that vanishes"),
-    "q_shortage": ("MVAr", "reactive power from nowhere"),
-    "q_surplus": ("MVAr", "reactive power that vanishes"),
+    "pg_redispatch": ("MW", "absolute deviation of generation from its set-point"),
+    "ps_redispatch": ("MW", "absolute deviation of charging power from its set-point"),
+    "pg_curtailed": ("MW", "available power not generated"),
+    "p_unserved": ("MW", "unserved active demand"),
+    "q_unserved": ("MVAr", "unserved reactive demand"),
+    "p_shortage": ("MW", "unserved active balance (slack injection)"),
+    "p_surplus": ("MW", "surplus active balance (slack withdrawal)"),
+    "q_shortage": ("MVAr", "unserved reactive balance (slack injection)"),
+    "q_surplus": ("MVAr", "surplus reactive balance (slack withdrawal)"),
 }
-_TOLERANCE = 1e-5  # p.u.; what solvers leave in a plan and in the state found from it is no violation
+_TOLERANCE = 1e-5  # p.u.; smaller excesses are solver tolerance in the plan and the resulting state
 
 
 def excesses(network: PerUnitNetwork, values: Values, step: float, before: Array | None) -> Values:
-    """By how much a state exceeds the limits of the network, p.u., ``(items,)``; 0 where it does not.
+    """Return the limit violations of a state, p.u., ``(items,)``; 0 within the limits.
 
     Parameters
     ----------
     network
-        With the limits of the stage.
+        Network with the limits of the stage.
     before
-        Generation of the stage before, if ramps are to be measured.
+        Generation in the previous stage, if ramps are measured.
     """
     bus, branch, generator = network.bus, network.branch, network.generator
     ends = [np.hypot(values["branch", f"p{end}"], values["branch", f"q{end}"]) for end in "ft"]
@@ -75,12 +75,12 @@ def excesses(network: PerUnitNetwork, values: Values, step: float, before: Array
 def changes(
     network: PerUnitNetwork, values: Values, planned: Values, available: npt.NDArray[np.bool_]
 ) -> Values:
-    """How far set-points were changed and how much of what was available was not used, p.u.
+    """Return the changes of set-points and the unused available power, p.u.
 
     Parameters
     ----------
     available
-        Which generators have an availability: a time series of their largest power.
+        Which generators have an availability, a time series of ``p_max``.
     """
     made = {
         (kind, f"{name}_redispatch"): np.abs(values[kind, name] - planned[kind, name])
@@ -94,7 +94,7 @@ def changes(
 
 
 def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
-    """The measured quantities of a run in a few numbers; empty if nothing was measured."""
+    """Return the key figures of the measured quantities of a run; empty if nothing was measured."""
     base, hours = problem.arrays.base_mva, problem.step
     made: dict[str, Any] = {}
     named = {name: (kind, name) for step in steps for kind, name in step.values if name in DESCRIBED}
@@ -119,11 +119,11 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
 
 
 def _outside(values: Array, table: Table, lower: str, upper: str) -> Array:
-    """How far values lie outside their limits."""
+    """Return the distance of values outside their limits."""
     return np.maximum(np.maximum(_now(table, lower) - values, values - _now(table, upper)), 0.0)
 
 
 def _now(table: Table, field: str) -> Array:
-    """A field of the only stage of a table."""
+    """Return a field of a table with one stage."""
     array: Array = table.arrays[field]
     return array[:, 0]

@@ -1,4 +1,4 @@
-"""What happened in a closed loop."""
+"""The record of a closed loop."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class Run:
     Attributes
     ----------
     status
-        ``running``; then ``done``, the status of the plan that failed, ``unsolved`` where the plant
-        found no state in some step, or ``stopped``. Finished steps are kept in any case.
+        ``running``; then ``done``, the status of the plan that failed, ``unsolved`` if the plant
+        found no solution in some step, or ``stopped``. Completed steps are always kept.
     termination
-        Why it ended.
+        Why the run ended.
     initial
         State at the first step, in physical units.
     infeasible
-        Whether it ended because a plan has no solution.
+        Whether it ended because a plan was infeasible.
     interrupted
         Whether it ended by Ctrl-C.
     """
@@ -47,7 +47,7 @@ class Run:
     plans: list[dict[str, Any]] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     status: str = "running"
-    termination: str = "the loop has not ended"
+    termination: str = "the loop is still running"
     infeasible: bool = False
     interrupted: bool = False
     build_seconds: float = 0.0
@@ -59,22 +59,22 @@ class Run:
         return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
 
     def finish(self) -> None:
-        """Settle the status of a loop that went through all its steps."""
+        """Set the status of a loop that completed all its steps."""
         unsolved = [number for number, step in enumerate(self.steps) if not step.solved]
         if unsolved:
             first = unsolved[0]
             self.status = "unsolved"
             self.termination = (
-                f"the plant found no state in {len(unsolved)} of {len(self.steps)} steps, "
+                f"the plant found no solution in {len(unsolved)} of {len(self.steps)} steps, "
                 f"first in step {first}: {self.steps[first].status}"
             )
         else:
             self.status, self.termination = "done", "all steps done"
 
     def _stage(self) -> NumericStage:
-        """The realised quantities as numbers in per unit."""
+        """Return the realised quantities as numbers in per unit."""
         network = self.problem.window(0, len(self.steps), self.objective)
-        # what limits are exceeded by is there only in the steps of an elastic plan
+        # violations of soft limits exist only in the steps of elastic plans
         absent = {key: np.zeros_like(value) for step in self.steps for key, value in step.values.items()}
         values = {
             key: np.column_stack([step.values.get(key, zero) for step in self.steps])
@@ -84,7 +84,7 @@ class Run:
 
     @property
     def previous_pg(self) -> dict[str, float] | None:
-        """Dispatch in MW before the first step, from which it was ramped; None where that was free."""
+        """Dispatch in MW before the first step; None if the first step was not ramp-limited from one."""
         before = (self.initial or {}).get("pg")
         if before is None or self.problem.generator_delay == 1:
             return None
@@ -93,7 +93,7 @@ class Run:
 
     @property
     def cost_rate(self) -> Array:
-        """Stage cost of the realised trajectory, $/h; NaN in steps for which the plant found no state."""
+        """Stage cost of the realised trajectory, $/h; NaN in steps without a solution of the plant."""
         return self._cost_rate(self._stage()) if self.steps else np.zeros(0)
 
     def _cost_rate(self, stage: NumericStage) -> Array:
@@ -103,13 +103,13 @@ class Run:
 
     @property
     def cost(self) -> float:
-        """Realised cost over all steps, $; NaN unless the plant found a state in each."""
+        """Realised cost over all steps, $; NaN unless the plant found a solution in each."""
         return float(self.cost_rate.sum()) * self.problem.step
 
     @property
     def data(self) -> xr.Dataset:
-        """Realised trajectories in physical units and the effort of each step; so far, in a running loop."""
-        if self.status == "running":  # it grows: nothing may be kept
+        """Realised trajectories in physical units and the effort of each step, up to the current one."""
+        if self.status == "running":  # still growing: do not cache
             return self._dataset()
         if self._finished is None:
             self._finished = self._dataset()
@@ -144,7 +144,7 @@ class Run:
         return made
 
     def summary(self) -> dict[str, Any]:
-        """The run in a few numbers; None for a cost that is not known and for iterations nobody counted."""
+        """Return the key figures of the run, None for an unknown cost or uncounted iterations."""
         seconds = [plan["solve_seconds"] for plan in self.plans]
         iterations = [plan["iterations"] for plan in self.plans if plan["iterations"] is not None]
         return {

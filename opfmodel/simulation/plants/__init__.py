@@ -1,4 +1,4 @@
-"""Plants: what the grid does with a plan, one file each. ``docs/plants.md`` has the equations."""
+"""Plants: the response of the grid to a plan, one file each. ``docs/plants.md`` has the equations."""
 
 from opfmodel.simulation.plants.base import Plant, Step
 

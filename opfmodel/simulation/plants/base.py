@@ -1,4 +1,4 @@
-"""What a plant is."""
+"""The base class of plants, and the outcome of a step."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Values = dict[Key, Array]
 
 @dataclass(frozen=True)
 class Step:
-    """What happened in one step.
+    """The outcome of one step.
 
     Attributes
     ----------
     values
         Per-unit values ``(items,)`` by ``(kind, quantity)``.
     state
-        The state at the next step, in physical units.
+        State at the next step, in physical units.
     described
         Unit and description of each quantity.
     formulation
-        The physics that the values obey.
+        The formulation whose equations the values satisfy.
     status
-        How the plant found them: ``planned``, or the status of its own problem.
+        ``planned``, or the status of the plant's own problem.
     solved
-        Whether it did; if not, values of the network are NaN.
+        Whether the plant found a solution; if not, network quantities are NaN.
     """
 
     values: Mapping[Key, Array]
@@ -48,40 +48,40 @@ class Step:
 
 
 class Plant:
-    """What the grid does in the first stage of a plan, and the state it leads to; one class in one file.
+    """The response of the grid to the first stage of a plan, and the next state; one class per file.
 
     Registered by an entry point in the group ``opfmodel.plants``; the keyword arguments of the
-    constructor are the options in a scenario file, beside ``mode``, which is the plant's name.
+    constructor are the options in a scenario file, beside ``mode``, the name of the plant.
 
     Attributes
     ----------
     needs_perfect_forecast
-        Whether it takes what was planned for what happens, so that the balance would not hold if
-        something else did.
+        Whether the plant takes the plan as the outcome; an imperfect forecast would then break the
+        power balance.
     """
 
     needs_perfect_forecast: ClassVar[bool] = False
 
     def check(self, network: PerUnitNetwork) -> None:
-        """Raise :class:`opfmodel.errors.ModelError` for options that do not fit a network."""
+        """Raise :class:`opfmodel.errors.ModelError` if the options do not fit a network."""
 
     def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
-        """Begin a run, and forget the last one.
+        """Start a run and discard the history of the last one.
 
         Parameters
         ----------
         problem
-            The controller's problem.
+            Problem of the controller.
         state
             The state at the first step, in physical units; see :meth:`MultiStage.solve`.
         """
 
     def apply(self, plan: Plan) -> Step:
-        """Apply the first stage of a plan; steps of a run come in the order of time.
+        """Apply the first stage of a plan; the steps of a run arrive in chronological order.
 
         Returns
         -------
         Step
-            Also where the plant finds no state; then with ``solved`` false.
+            Also if the plant finds no solution; ``solved`` is then false.
         """
         raise NotImplementedError

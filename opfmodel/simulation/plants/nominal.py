@@ -1,4 +1,4 @@
-"""The grid as it was planned."""
+"""The nominal plant."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["NominalPlant"]
 
 
 class NominalPlant(Plant):
-    """The grid does exactly what was planned."""
+    """Follow the plan exactly."""
 
     needs_perfect_forecast = True
 
     def apply(self, plan: Plan) -> Step:
-        """Take the first stage of the plan as what happened."""
+        """Return the first stage of the plan as the outcome."""
         known = {**plan.quantities(), **plan.exceeded(), **plan.prices()}
         values = {key: value[:, 0] for key, value in known.items()}
         formulation = plan.problem.formulation.name

@@ -1,4 +1,4 @@
-"""Set-points are held, and limits are measured."""
+"""The power-flow plant, which holds set-points and measures limits."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from opfmodel.simulation.records import DESCRIBED
 __all__ = ["PowerFlow"]
 
 _SHARE = ("load", "unserved")
-_WIDE = 1e3  # p.u.; stands for a range without limit
-_LEAST_VM, _MOST_VM = 0.2, 2.0  # p.u.; no grid runs outside, and Newton's steps stay inside
+_WIDE = 1e3  # p.u.; replaces an infinite range
+_LEAST_VM, _MOST_VM = 0.2, 2.0  # p.u.; wider than any operating range, but bounds Newton steps
 
 
 class PowerFlow(ACPlant):
-    r"""Units hold their set-points and limits are measured, not enforced.
+    r"""Hold the set-points of all units, and measure limits without enforcing them.
 
-    Losses and forecast errors are taken by a distributed slack: with participation factors
-    :math:`\gamma`, which sum to one in an island,
+    A distributed slack covers losses and forecast errors. With participation factors
+    :math:`\gamma`, which sum to one in each island,
 
     .. math::
         p^g_i = \hat p^g_i + \gamma_i s
 
-    Voltages are held where there are generators, at the plan's magnitude or, if the plan has none, at
-    1 p.u. within the limits of the bus; the generators of a bus share its reactive power in
-    proportion to their ranges. Storages hold ``ps`` and ``qs``, zero where the plan has none. A set-point
-    above what is available is lowered to that.
+    Buses with generators hold the voltage magnitude of the plan or, if the plan has none,
+    1 p.u. clipped to the limits of the bus. The generators of a bus share its reactive power in
+    proportion to their ranges. Storages hold ``ps`` and ``qs``, zero if the plan has none. A set-point
+    above the available power is reduced to it.
 
     Parameters
     ----------
     participation
-        Factor of each generator by name; those that are not mentioned take no part. By default
+        Factor of each generator by name; generators not listed do not participate. By default
         in proportion to ``p_max``.
     """
 
@@ -51,12 +51,12 @@ class PowerFlow(ACPlant):
         self.participation = participation
 
     def shares(self, network: PerUnitNetwork) -> Array:
-        """Share of each generator in the slack of its island; those of an island sum to one.
+        """Return the share of each generator in the slack of its island; shares sum to one per island.
 
         Raises
         ------
         ModelError
-            A factor is of no generator in service.
+            A factor belongs to no generator in service.
         """
         table = network.generator
         if self.participation is None:
@@ -70,11 +70,11 @@ class PowerFlow(ACPlant):
         return _divide(factors, network.island[table.bus])
 
     def check(self, network: PerUnitNetwork) -> None:
-        """Raise :class:`ModelError` for factors that do not fit a network."""
+        """Raise :class:`ModelError` if the factors do not fit a network."""
         self.shares(network)
 
     def make(self, plan: Plan) -> MultiStage:
-        """Devices hold set-points, and the network has no limits."""
+        """Return a problem whose devices hold set-points and whose network has no limits."""
         problem = plan.problem
         own: dict[type, Device] = {
             Generator: _HeldGenerators(self.shares(problem.arrays)),
@@ -88,8 +88,8 @@ class PowerFlow(ACPlant):
         return one_stage(problem, self._set_points, devices)
 
     def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
-        """Hold the set-points, and voltages where there are generators."""
-        if _SHARE[1] in plan.solution.program.variables:  # an elastic plan sheds on purpose
+        """Solve for the set-points, with voltages held at buses with generators."""
+        if _SHARE[1] in plan.solution.program.variables:  # an elastic plan sheds deliberately
             aims = aims | {_SHARE: plan.solution.value(_SHARE[1])[:, 0]}
         window = self._set_points.targets(network, aims)
         held = window["generator", "pg_set"]
@@ -104,7 +104,7 @@ class PowerFlow(ACPlant):
 
 
 class _HeldGenerators(Device):
-    """Generators at their set-points and a distributed slack in every island."""
+    """Generators at their set-points, with a distributed slack in every island."""
 
     component = Generator
 
@@ -112,7 +112,7 @@ class _HeldGenerators(Device):
         self.shares = shares
 
     def declare(self, model: Model, table: Table) -> None:
-        """Publish ``pg`` and ``qg`` in terms of one slack per island and one per bus with generators."""
+        """Publish ``pg`` and ``qg`` as functions of a slack per island and one per bus with generators."""
         network = model.network
         slack = model.build.variable("slack", network.n_islands, model.stages)
         pg = model.parameter("generator", "pg_set") + self.shares * slack[network.island[table.bus]]
@@ -131,7 +131,7 @@ class _HeldStorages(Device):
     component = Storage
 
     def declare(self, model: Model, table: Table) -> None:
-        """Publish ``ps`` and ``qs`` as they were planned."""
+        """Publish ``ps`` and ``qs`` as planned."""
         ps, qs = model.parameter("storage", "ps_set"), model.parameter("storage", "qs_set")
         model.publish("storage", "ps", ps, unit="MW", description="charging power")
         model.publish("storage", "qs", qs, unit="MVAr", description="reactive power drawn")
@@ -139,12 +139,12 @@ class _HeldStorages(Device):
 
 
 class _HeldLoads(Device):
-    """Loads, less the share that is shed on purpose."""
+    """Loads, less the share that the plan sheds."""
 
     component = Load
 
     def declare(self, model: Model, table: Table) -> None:
-        """Withdraw what is served; publish what is not."""
+        """Withdraw the served demand and publish the unserved."""
         share = model.parameter(_SHARE[0], f"{_SHARE[1]}_set")
         for name, power in (("p", model.parameter("load", "p")), ("q", model.parameter("load", "q"))):
             unit, text = DESCRIBED[f"{name}_unserved"]
@@ -154,14 +154,14 @@ class _HeldLoads(Device):
 
 
 def _divide(weights: Array, group: Index) -> Array:
-    """Weights divided by the sum over their group; equal ones where that is zero."""
+    """Return weights normalised within each group, equal ones if their sum is zero."""
     sums = np.bincount(group, weights)[group]
     equal = 1.0 / np.bincount(group)[group]
     return np.asarray(np.where(sums > 0, weights / np.where(sums > 0, sums, 1.0), equal))
 
 
 def _without_limits(network: PerUnitNetwork) -> Values:
-    """Fields that leave the network without limits of its own."""
+    """Return the fields that remove the limits of the network."""
     none = np.full((len(network.branch), 1), np.inf)
     return {
         ("branch", "rating"): none,

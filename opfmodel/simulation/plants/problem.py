@@ -1,4 +1,4 @@
-"""What plants with AC physics share: a problem of one stage, solved at what really happens."""
+"""The common part of AC plants: a single-stage problem, solved with the realised data."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _PRECISE = {"tol": 1e-8, "constr_viol_tol": 1e-8}
 
 
 class ACPlant(Plant):
-    """A plant that is a problem of one stage with the AC equations, solved at what really happens.
+    """A plant that solves a single-stage problem with the AC equations and the realised data.
 
-    The problem is compiled at the first plan, and only numbers change from then on. A subclass says what
-    the problem is (:meth:`make`) and solves it for set-points (:meth:`find`).
+    The problem is compiled at the first plan; later plans change only the instance data. A subclass
+    builds the problem (:meth:`make`) and solves it for set-points (:meth:`find`).
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class ACPlant(Plant):
         self._next = 0
 
     def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
-        """Begin a run; the plant's own problem is compiled again only for another problem."""
+        """Start a run; the plant recompiles its own problem only if the controller's is a new one."""
         if self._controlled is None or not problem.is_variant_of(self._controlled):
             self._controlled, self._own = problem, None
             names, known = problem.arrays.generator.names, problem.profiles
@@ -49,13 +49,13 @@ class ACPlant(Plant):
         self._before = None if before is None else np.asarray(before, dtype=float) / problem.arrays.base_mva
 
     def apply(self, plan: Plan) -> Step:
-        """Find the physical state of the first stage of a plan, at the demand that happens.
+        """Find the physical state of the first stage of a plan, at the realised demand.
 
         Returns
         -------
         Step
-            Also if there is no such state: then with the set-points as they were, NaN for what the
-            network does, and the status.
+            Also if there is no such state; then with the unchanged set-points, NaN for network
+            quantities, and the status.
         """
         known = self._controlled is not None and plan.problem.is_variant_of(self._controlled)
         if not known or plan.time < self._next:
@@ -80,11 +80,11 @@ class ACPlant(Plant):
         )
 
     def aims(self, plan: Plan, planned: Values) -> Values:  # noqa: ARG002 - for subclasses
-        """The set-points that devices really aim at, p.u.; by default those of the plan."""
+        """Return the set-points that devices actually pursue, p.u.; by default those of the plan."""
         return planned
 
     def make(self, plan: Plan) -> MultiStage:
-        """The plant's own problem for the network of a plan."""
+        """Return the plant's own problem for the network of a plan."""
         raise NotImplementedError
 
     def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
@@ -92,7 +92,7 @@ class ACPlant(Plant):
         raise NotImplementedError
 
     def solve(self, time: int, initial: dict[str, Any] | None, window: Values) -> Plan:
-        """Solve, first from the last state, then from nothing."""
+        """Solve from the last state, then from a cold start if that fails."""
         assert self._own is not None
         found = self._own.solve(time, initial, self._last, expected=window)
         if not found.optimal and self._last is not None:
@@ -102,7 +102,7 @@ class ACPlant(Plant):
 
     @staticmethod
     def _values(aims: Values, found: Plan) -> Values:
-        """The physical state by quantity; the set-points alone if there is none."""
+        """Return the physical state by quantity, or the set-points alone if there is none."""
         state = {key: value[:, 0] for key, value in found.quantities().items()}
         state |= {key: value[:, 0] for key, value in found.exceeded().items() if key[1] in DESCRIBED}
         if not found.optimal:
@@ -113,10 +113,10 @@ class ACPlant(Plant):
 
     @staticmethod
     def _state(plan: Plan, values: Values, network: PerUnitNetwork) -> dict[str, Array]:
-        """The state that the next plan starts from, in physical units.
+        """Return the initial state of the next plan, in physical units.
 
-        With ``generator_delay`` 1 the dispatch of the next stage is committed already, and stays as
-        planned; with 0 it is ramped from what was really generated, as far as the unit's limits go.
+        With ``generator_delay`` 1 the dispatch of the next stage is already committed and stays as
+        planned. With 0 its ramp starts from the actual generation, clipped to the limits of the unit.
         """
         state = plan.next_state(values)
         if plan.problem.generator_delay == 0 and "pg" in state:
@@ -127,7 +127,7 @@ class ACPlant(Plant):
 
 
 def _with_energy(aims: Values, planned: Values, network: PerUnitNetwork, step: float) -> Values:
-    """The set-points, and the stored energy that follows where the power of a storage is not as planned."""
+    """Return the set-points, with stored energy corrected for storage power that differs from the plan."""
     power, energy = ("storage", "ps"), ("storage", "e_next")
     if energy not in planned or aims[power] is planned[power]:
         return aims
@@ -138,14 +138,14 @@ def _with_energy(aims: Values, planned: Values, network: PerUnitNetwork, step: f
 
 
 class SetPoints(Objective):
-    """Distance from set-points ``<quantity>_set``, which are numbers of every solve.
+    """Distance from set-points ``<quantity>_set``, which are data of every solve.
 
     Parameters
     ----------
     prices
-        By quantity, $/h per p.u.; what costs nothing has a set-point for devices that hold it.
+        By quantity, $/h per p.u.; a price of zero only provides the set-point to devices that hold it.
     fields
-        Fields of the network that are other than declared, ``(items, 1)``.
+        Fields of the network that differ from the declared ones, ``(items, 1)``.
     """
 
     def __init__(self, prices: Mapping[Key, float], fields: Values | None = None) -> None:
@@ -153,11 +153,11 @@ class SetPoints(Objective):
         self.fields = fields or {}
 
     def series(self, network: PerUnitNetwork) -> Values:
-        """Set-points of zero, for want of a plan, and the fields."""
+        """Return set-points of zero, to be replaced by those of each plan, and the fields."""
         return self.targets(network, {}) | self.fields
 
     def targets(self, network: PerUnitNetwork, planned: Values) -> Values:
-        """Set-points ``(items, 1)`` as fields of the network, zero where a plan has none."""
+        """Return set-points ``(items, 1)`` as fields of the network, zero if a plan has none."""
         made = {}
         for kind, name in self.prices:
             none = np.zeros(len(network.tables[kind]))
@@ -165,7 +165,7 @@ class SetPoints(Objective):
         return made
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Sum of the absolute differences; None where there is nothing to pay."""
+        """Return the priced sum of absolute deviations; None if nothing has a price."""
         cost: Any = None
         for (kind, name), price in self.prices.items():
             if price and stage.has(name):
@@ -179,7 +179,7 @@ class SetPoints(Objective):
 def one_stage(
     problem: MultiStage, objective: Objective, devices: Sequence[Device], **options: Any
 ) -> MultiStage:
-    """One stage of AC physics of the network of a problem."""
+    """Return a single-stage problem with AC physics for the network of a problem."""
     return MultiStage(
         problem.network,
         step=problem.step,
@@ -192,10 +192,10 @@ def one_stage(
 
 
 def set_points(plan: Plan) -> list[Key]:
-    """What a plan decides about devices: everything of theirs that is not a stock or a report."""
+    """Return the quantities of devices that a plan decides, without stocks and reports."""
     return [key for key in plan.decisions() if key[0] not in _NETWORK]
 
 
 def unit_of(plan: Plan, key: Key) -> str:
-    """Physical unit of a quantity of a plan."""
+    """Return the physical unit of a quantity of a plan."""
     return plan.problem.described[key[1]][0]

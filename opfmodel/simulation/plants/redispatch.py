@@ -1,4 +1,4 @@
-"""Set-points are changed as little as limits allow."""
+"""The redispatch plant, which changes set-points as little as the limits allow."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ __all__ = ["Redispatch"]
 
 
 class Redispatch(ACPlant):
-    r"""The smallest change of set-points that keeps all AC limits, ramps and the limits of storages.
+    r"""Minimise the change of set-points within all AC, ramp and storage limits.
 
     .. math::
         \min\; \pi_p \sum |p^g - \hat p^g| + \pi_p \sum |p^s - \hat p^s|
              + \pi_q \sum |q^g - \hat q^g| + \pi_q \sum |q^s - \hat q^s| + \text{elastic terms}
 
-    Reactive set-points that a plan lacks are zero. Demand is shed, and limits are exceeded, at the
-    prices of an elastic problem, so that there is an answer to every plan.
+    Reactive set-points that a plan lacks are zero. Demand may be shed and limits exceeded at the
+    prices of an elastic problem, so every plan has a response.
 
     Parameters
     ----------
     price, reactive_price
         :math:`\pi_p` and :math:`\pi_q` in $/MWh and $/MVArh; only their ratios to the others matter.
     shedding_price
-        Of demand that is not served, $/MWh.
+        Price of unserved demand, $/MWh.
     violation_price
-        Of limits that are exceeded, $/MWh; see :class:`opfmodel.Elastic`.
+        Price of limit violations, $/MWh; see :class:`opfmodel.Elastic`.
     """
 
     def __init__(
@@ -50,12 +50,12 @@ class Redispatch(ACPlant):
         self.elastic = Elastic(violation_price, shedding_price, 2.0 * violation_price)
 
     def make(self, plan: Plan) -> MultiStage:
-        """All limits, and prices for the distance from set-points."""
+        """Return a problem with all limits and a price on the deviation from set-points."""
         wanted = list(dict.fromkeys([*ALWAYS, *set_points(plan)]))
         reactive = (*ALWAYS[1::2], *(k for k in set_points(plan) if unit_of(plan, k) == "MVAr"))
         base = plan.problem.arrays.base_mva
         prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
-        # what is stored is worth a little, or a lossy store would charge and discharge at once
+        # a small value of stored energy keeps lossy storage from charging and discharging at once
         end = End(price=0.01 * self.price)
         self._set_points = SetPoints(prices)
         return one_stage(plan.problem, self._set_points, plan.problem.devices, elastic=self.elastic, end=end)
