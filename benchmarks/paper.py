@@ -36,13 +36,13 @@ demand used here is our choice, stated in the scenario files: demand steps at bu
 buses 59 and 116 of the 118-bus system, and random demand from the load of Germany in a week of July 2019
 with noise at every bus (the paper used a day of July 2018). Only two values were fitted: the level of the
 random demand, to bring J_s close to the paper's, and the noise of 5 % for the 5-bus system, because with
-10 % its ramp limits can raise J_e above J_s. What you can compare is therefore the order J_e < J_s ≤ J_t <
-J_b, which holds for all four systems in the paper and here, and the differences between the costs:
+10 % its ramp limits can raise J_e above J_s. You can therefore compare the order J_e < J_s ≤ J_t < J_b,
+which holds for all four systems in the paper and here, and the cost differences:
 
 {gains}
 
 J_b is not unique: its objective leaves generation undetermined, so J_b depends on which of many equally good
-dispatches the solver finds. In the paper, J_t of the 118-bus step system is 3.6 % above J_s. Here it is
+dispatches the solver finds. The paper's J_t of the 118-bus step system is 3.6 % above J_s. Here it is
 within 0.01 %: with these demand steps, ramps and storage suffice to follow the single-stage optima closely.
 
 An independent program, `tests/data/paper/reference.py`, shares no code with opfmodel and states the AC
