@@ -1,1 +1,1 @@
-"""Benchmarks: pairs measured in one run, quoted as ratios of medians. See docs/benchmarks.md."""
+"""Benchmarks, reported as ratios of medians within one run. See docs/benchmarks.md."""

@@ -1,4 +1,4 @@
-"""docs/ac-versus-dc.md from the folder of a finished study of scenarios/studies/ac-versus-dc.yaml.
+"""Write docs/ac-versus-dc.md from the results of scenarios/studies/ac-versus-dc.yaml.
 
 opfmodel study run scenarios/studies/ac-versus-dc.yaml --out DIR --workers 2
 python -m benchmarks.ac_versus_dc DIR
@@ -15,7 +15,7 @@ from opfmodel.study import read_table
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "ac-versus-dc.md"
-TEXT = Path(__file__).parent / "ac_versus_dc.md"  # what a reader should conclude, around the tables
+TEXT = Path(__file__).parent / "ac_versus_dc.md"  # template of the page: conclusions and tables
 
 POWER_FLOW = {
     "cost": "cost k$",
@@ -34,7 +34,7 @@ REDISPATCH = {
 
 
 def tables(rows: list[dict[str, Any]]) -> str:
-    """A table for each system and objective: formulations down, what the plants found across."""
+    """One table per system and objective: a row per formulation, columns for both plants."""
     known = {
         (r["system"], r["controller"], r["controller.formulation"], r["plant.mode"]): r
         for r in rows

@@ -1,4 +1,4 @@
-"""Time per back end on convex problems, and PyPSA's linear optimal power flow beside ours, in one run.
+"""Time per back end on convex problems, and PyPSA's linear optimal power flow, in one run.
 
 python -m benchmarks.backends
 """
@@ -12,12 +12,12 @@ from benchmarks.systems import PGLIB, case118, demand
 
 DC = ("ipopt", "clarabel", "osqp", "qp:piqp", "qp:highs")
 SOC = ("ipopt", "clarabel", "conic:scs")
-# Its active-set method needs minutes on the large problem; nobody should have to wait for it.
+# The active-set method of HiGHS needs minutes on the large problem.
 OPTIONS = {"qp:highs": {"time_limit": 120.0}}
 
 
 def dc_118(solver: str, horizon: int, linear: bool = False) -> dict[str, Any]:
-    """DC with storage at every bus: the first problem cold, the next one from it."""
+    """DC with storage at every bus: the first problem cold, the next one started from it."""
     import opfmodel as om
 
     network, series = case118(horizon + 1)
@@ -25,7 +25,7 @@ def dc_118(solver: str, horizon: int, linear: bool = False) -> dict[str, Any]:
         _linearise(network)
     options = {"regularisation": 0.0} if linear else {}
     settings = {"formulation": "dc", "profiles": series, "solver": solver, **options}
-    om.MultiStage(network, 1, **settings).solve()  # importing libraries counts for nobody
+    om.MultiStage(network, 1, **settings).solve()  # exclude imports from the time
     problem = om.MultiStage(network, horizon, options=OPTIONS.get(solver), **settings)
     built, _ = timed(problem.compile)
     first_s, first = timed(problem.solve)
@@ -65,7 +65,7 @@ def pypsa_118(horizon: int) -> dict[str, Any]:
 
 
 def _linearise(network: Any) -> None:
-    """Leave the linear part of the generators' costs, which differ enough to order them."""
+    """Keep the linear part of the generators' costs, with offsets that make them differ."""
     import opfmodel as om
 
     for position, (name, generator) in enumerate(network.of(om.Generator).items()):
@@ -102,7 +102,7 @@ def main() -> None:
     goals: dict[str, Any] = {}
     for group, measurements in groups.items():
         runs: dict[str, list[dict[str, Any]]] = {name: [] for name, _, _ in measurements}
-        for _ in range(options.repeat):  # in turn, so that a drift of the machine hits all
+        for _ in range(options.repeat):  # alternate, so that a drift of the machine affects all
             for name, function, given in measurements:
                 runs[name].append(measure(function, *given))
         found = {name: median(list_) for name, list_ in runs.items()}

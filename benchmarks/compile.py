@@ -1,4 +1,4 @@
-"""Compile and cold-solve time and memory, beside the plain recipe in the same run.
+"""Compile time, cold-solve time and memory, compared with plain CasADi in the same run.
 
 python -m benchmarks.compile
 """
@@ -15,11 +15,11 @@ from benchmarks.systems import case118, demand, pglib
 
 
 def opfmodel_118(horizon: int) -> dict[str, Any]:
-    """From the declared network to a solver ready to start, then a cold solve."""
+    """From the declared network to a solver that is ready to start, then a cold solve."""
     import opfmodel as om
 
     network, series = case118(horizon)
-    import casadi  # noqa: F401 - importing libraries is not compiling
+    import casadi  # noqa: F401 - exclude imports from the compile time
     import networkx  # noqa: F401
     import scipy.sparse  # noqa: F401
 
@@ -32,7 +32,7 @@ def opfmodel_118(horizon: int) -> dict[str, Any]:
 
 
 def plain_118(horizon: int, regularisation: float = 0.0) -> dict[str, Any]:
-    """The plain recipe on the same arrays."""
+    """Plain CasADi on the same arrays."""
     from benchmarks.plain import PlainProblem
     from opfmodel.network.arrays import per_unit
 
@@ -109,11 +109,11 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     measurements: list[tuple[str, Any, tuple[Any, ...]]] = [
         (f"opfmodel 118 x {horizon}", opfmodel_118, (horizon,)),
-        (f"plain recipe 118 x {horizon}", plain_118, (horizon,)),
-        (f"plain recipe with our weight 118 x {horizon}", plain_118, (horizon, 1e-2)),
+        (f"plain CasADi 118 x {horizon}", plain_118, (horizon,)),
+        (f"plain CasADi with opfmodel's weight 118 x {horizon}", plain_118, (horizon, 1e-2)),
     ]
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name, _, _ in measurements}
-    for _ in range(options.repeat):  # the pair in turn, so that a drift of the machine hits both
+    for _ in range(options.repeat):  # alternate, so that a drift of the machine affects all alike
         for name, function, given in measurements:
             runs[name].append(measure(function, *given))
     rows = [{"measurement": name, **median(list_)} for name, list_ in runs.items()]
@@ -128,7 +128,7 @@ def main() -> None:
         "peak memory, 118 (goal <= 400 MB)": ours["peak_mb"],
         "compile + solve, plain / opfmodel (goal >= 5)": (plain["compile_s"] + plain["solve_s"])
         / (ours["compile_s"] + ours["solve_s"]),
-        "the same with our weight given to the plain recipe": (weighted["compile_s"] + weighted["solve_s"])
+        "the same, plain CasADi with opfmodel's weight": (weighted["compile_s"] + weighted["solve_s"])
         / (ours["compile_s"] + ours["solve_s"]),
         "relative difference of the objectives": abs(plain["objective"] / ours["objective"] - 1),
     }

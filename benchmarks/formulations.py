@@ -1,4 +1,4 @@
-"""The first problem of the 5-bus system with steps in every formulation: the table of docs/backends.md.
+"""First problem of ``case5-step`` in every formulation, for the table in docs/backends.md.
 
 python -m benchmarks.formulations
 """
@@ -14,7 +14,7 @@ FORMULATIONS = ("ac", "ac-rectangular", "soc", "dc-losses", "dc", "dc-matpower",
 
 
 def solve(formulation: str) -> om.Plan:
-    """The first plan, from the same dispatch for every formulation."""
+    """First plan, from the same initial dispatch for every formulation."""
     scenario = om.load_scenario(SCENARIO, overrides={"controller.formulation": formulation})
     return scenario.problem.solve(initial=scenario.initial())
 

@@ -35,7 +35,7 @@ def horizon_118(horizon: int) -> dict[str, Any]:
 
 
 def single(case: str) -> dict[str, Any]:
-    """A single stage of PGLib."""
+    """A single stage of a PGLib case."""
     import opfmodel as om
 
     network = pglib(case)
@@ -45,7 +45,7 @@ def single(case: str) -> dict[str, Any]:
 
 
 def storages(case: str, horizon: int, count: int) -> dict[str, Any]:
-    """A case of PGLib over a day with storages at the buses with most demand."""
+    """A PGLib case over a day, with storage at the buses with the highest demand."""
     import opfmodel as om
 
     network = pglib(case)
@@ -76,7 +76,7 @@ def _solved(problem: Any) -> dict[str, Any]:
 
 
 def exponent(sizes: list[int], seconds: list[float]) -> float:
-    """Slope of the logarithms: seconds grow as size to this power."""
+    """Exponent of the growth of seconds with size, from the slope of the logarithms."""
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
@@ -100,7 +100,7 @@ def main() -> None:
     }
     shares = [result["compile_percent"] for result in by_case.values() if "compile_percent" in result]
     if shares:
-        goals["largest share of compiling in a cold solve, percent (goal <= 10)"] = max(shares)
+        goals["maximum share of compilation in a cold solve, percent (goal <= 10)"] = max(shares)
     report("growth", rows, goals)
 
 

@@ -1,4 +1,4 @@
-"""Running measurements in processes of their own, and writing down what came out and where."""
+"""Run measurements in separate processes and record the results and the machine."""
 
 from __future__ import annotations
 
@@ -40,24 +40,24 @@ PACKAGES = (
 
 
 def arguments(description: str) -> argparse.Namespace:
-    """Options that every benchmark has."""
+    """Parse the options that all benchmarks share."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
-        "--repeat", type=int, default=3, help="runs of each measurement, of which the median counts"
+        "--repeat", type=int, default=3, help="runs of each measurement; the median is reported"
     )
-    parser.add_argument("--quick", action="store_true", help="small sizes, to see that it works")
+    parser.add_argument("--quick", action="store_true", help="small sizes, as a smoke test")
     return parser.parse_args()
 
 
 def timed(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds a call takes, and its result."""
+    """Seconds that a call takes, and its result."""
     began = time.perf_counter()
     result = function()
     return time.perf_counter() - began, result
 
 
 def measure(function: Callable[..., dict[str, Any]], *args: Any) -> dict[str, Any]:
-    """Call a function in a fresh process; its result and the peak memory of that process in MB."""
+    """Call a function in a new process; return its result with the peak memory of the process in MB."""
     context = multiprocessing.get_context("spawn")
     receive, send = context.Pipe(duplex=False)
     process = context.Process(target=_child, args=(send, function, args))
@@ -95,7 +95,7 @@ def median(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """Processor, system and package versions of the measurements."""
     versions = {}
     for package in PACKAGES:
         try:
@@ -147,7 +147,7 @@ def report(name: str, rows: list[dict[str, Any]], goals: dict[str, Any] | None =
 
 
 def format_cell(value: Any) -> str:
-    """A value as tables show it."""
+    """Format a value for a table."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -16,10 +16,10 @@ __all__ = ["pypsa_network", "solve_pypsa"]
 
 
 def pypsa_network(network: PerUnitNetwork, demand: np.ndarray) -> pypsa.Network:
-    """The network with linear costs, storage and ramps, hourly snapshots.
+    """Network with linear costs, storage and ramp limits, in hourly snapshots.
 
-    PyPSA's reactances are per unit of 1 MVA where the nominal voltage is 1 kV, and its flow is
-    the angle over the reactance, so that x = 1 / (base b) gives the flow base b theta in MW.
+    At a nominal voltage of 1 kV PyPSA's reactances are per unit on 1 MVA, and its flow is the angle
+    divided by the reactance, so x = 1 / (base b) gives the flow base b theta in MW.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def pypsa_network(network: PerUnitNetwork, demand: np.ndarray) -> pypsa.Network:
 
 
 def solve_pypsa(network: pypsa.Network) -> dict[str, Any]:
-    """Solve with HiGHS; the status and the objective in $."""
+    """Solve with HiGHS; return the status and the objective in $."""
     for name in ("pypsa", "linopy"):
-        logging.getLogger(name).setLevel(logging.ERROR)  # reports and hints, among the results
+        logging.getLogger(name).setLevel(logging.ERROR)  # keep reports and hints out of the results
     _, condition = network.optimize(
         solver_name="highs", include_objective_constant=False, log_to_console=False, output_flag=False
     )

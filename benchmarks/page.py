@@ -1,4 +1,4 @@
-"""docs/benchmarks.md from the figures that the benchmarks wrote to ``benchmarks/results``.
+"""Write docs/benchmarks.md from the results in ``benchmarks/results``.
 
 python -m benchmarks.page
 """
@@ -16,86 +16,86 @@ PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 
 HEAD = """# Benchmarks
 
-What counts is the ratio within one run: machines are shared and noisy. Every measurement is a process of
-its own; where it is repeated the median is shown, and what is compared is measured in turn. `make bench`
-installs what is compared with, runs everything and writes this page; the raw figures, with the machine and
-all versions, are in `benchmarks/results/`. Each benchmark also runs alone, as stated, and takes `--repeat N`
-and `--quick`.
+Machines are shared and noisy, so only ratios within one run are meaningful. Each measurement runs in its
+own process. Repeated measurements show the median, and tools that are compared run in turn. `make bench`
+installs the other tools, runs all benchmarks and writes this page. The raw results, with the machine and all
+package versions, are in `benchmarks/results/`. You can also run each benchmark alone with the command shown;
+all of them accept `--repeat N` and `--quick`.
 
-The plain recipe (`benchmarks/plain.py`) is what one writes by following CasADi's examples: one MX expression
-over all stages on the same arrays, default options of CasADi and IPOPT. It states the problem as it is; the
-small weight on storage power that opfmodel adds to make the problem well posed is a setting of opfmodel's
-solver.
+The baseline, plain CasADi (`benchmarks/plain.py`), follows CasADi's examples: one MX expression over all
+stages on the same arrays, with the default options of CasADi and IPOPT. It omits the small weight on storage
+power that opfmodel adds to make the problem well posed.
 """
 
 SECTIONS: dict[str, tuple[str, str]] = {
     "compile": (
-        "Compiling and solving cold",
-        """IEEE 118 with storage at every bus and 48 stages, from the declared network to a solver that is
-ready to start, and its first solve; a single stage of PGLib's 9,241-bus case; the plain recipe,
-without and with opfmodel's weight; and a Pyomo model, written to an NL file that CasADi reads,
-so that the same build of IPOPT solves it. (A solver with AMPL's library would differentiate the
-file faster than CasADi's reader does.)""",
+        "Compilation and cold solve",
+        """IEEE 118 with storage at every bus and 48 stages: the time from the declared network to a solver
+that is ready to start, and the first solve. The other rows are a single stage of PGLib's 9,241-bus
+case, plain CasADi without and with opfmodel's weight, and a Pyomo model. CasADi reads the Pyomo
+model from an NL file, so the same build of IPOPT solves it. (A solver linked with AMPL's library
+would differentiate the file faster than CasADi's reader does.)""",
     ),
     "receding": (
         "Receding horizon",
-        """Five steps after the first, each started from the one before; the plain recipe starts from its
-last primal values. Then the closed loops of the paper's systems, 49 steps with a horizon of 48.
-Overhead is what a step takes beside the solver: Python, numbers of the next problem, reading
-results.""",
+        """Five steps after the first, each started from the previous one; plain CasADi starts from its
+last primal values. The remaining rows are the closed loops of the paper's systems: 49 steps with
+a horizon of 48. Overhead is the part of a step spent outside the solver: Python code, updating
+instance data and reading results.""",
     ),
     "growth": (
         "Growth",
-        """With the horizon (IEEE 118, storage at every bus; a step is the mean of two warm ones) and with
-the size of the network (one stage of PGLib's cases; 1,354 buses over a day with 20 storages).""",
+        """Growth with the horizon (IEEE 118, storage at every bus; a step is the mean of two warm steps)
+and with the size of the network (single stages of PGLib cases; 1,354 buses over a day with 20
+storage units).""",
     ),
     "peers": (
-        "Single-stage AC-OPF beside pandapower and PYPOWER",
-        """The same PGLib data through MATPOWER's arrays; from data in memory to the optimum, imports
-excluded. pandapower limits currents, not apparent power, and so solves a slightly different
-problem; where a row has no figure the tool did not converge.""",
+        "Single-stage AC-OPF compared with pandapower and PYPOWER",
+        """The same PGLib data, passed as MATPOWER arrays. Times run from data in memory to the optimum and
+exclude imports. pandapower limits currents instead of apparent power and therefore solves a
+slightly different problem. Rows without figures did not converge.""",
     ),
     "warm_start": (
         "Warm starts",
-        "Ways to start the next problem; [warm-start.md](warm-start.md) says what follows.",
+        "Ways to start the next problem; [warm-start.md](warm-start.md) discusses the results.",
     ),
     "profile": (
         "Where the time goes",
-        "One cold and one warm solve of IEEE 118 × 48, in percent of the time a user waits.",
+        "One cold and one warm solve of IEEE 118 × 48, in percent of the total time of a step.",
     ),
     "backends": (
         "Back ends",
-        """DC with storage at every bus, first problem and the next one; SOC of one stage; PyPSA's linear
-optimal power flow and ours on the same DC data with linear costs. [backends.md](backends.md)
-says what follows for the choice of a back end.""",
+        """DC with storage at every bus, the first problem and the next one; single-stage SOC; and PyPSA's
+linear optimal power flow and opfmodel's on the same DC data with linear costs.
+[backends.md](backends.md) explains how to choose a back end.""",
     ),
-    "study": ("Studies", "24 closed loops of 49 steps of the 5-bus system, on one worker and on two."),
+    "study": ("Studies", "24 closed loops of the 5-bus system, 49 steps each, on one worker and on two."),
 }
 
 
-TAIL = """## What is not reached, and the next lever
+TAIL = """## Missed goals and possible improvements
 
-- **Compiling** IEEE 118 × 48 and 9,241 × 1 within 0.6 and 1.5 s is reached on a quiet machine (see
-  Growth) and was missed in the run above, when the machine was not quite idle.
-- **Memory** of one compiled and solved problem is well below 400 MB; whole closed loops of the 118-bus
-  systems need some 480 MB, with their results and the problem of the single-stage optima.
-- **Growth of a cold solve with the horizon** is steeper than the goal of 1.3: from 6 to 96 stages the
-  iterations grow from 16 to 26 and the time of one with an exponent of 1.25. Warm steps, which a closed
-  loop consists of, grow in proportion to the horizon. The lever is the starting point of the first
-  problem.
-- **Compiling is more than a tenth of a cold solve** below some 3,000 buses: 0.07 to 0.2 s go into
-  making functions and a solver, whatever the size. The lever is to keep compiled templates between
-  problems.
-- **Nine tenths of a step are linear algebra** in MUMPS with the small generic BLAS of CasADi's wheel.
-  Functions and their derivatives take a tenth, Python next to nothing. The lever is the factorisation:
-  another linear solver (`linear_solver` reaches IPOPT unchanged), or one that knows the stages.
-- Realised costs of a few steps differ by 1e-5 between opfmodel and the plain recipe, because the
-  optimum is flat in when storage is used; the objectives of plans from the same state agree to 1e-7.
+- **Compilation** of IEEE 118 × 48 and 9,241 × 1 meets the goals of 0.6 and 1.5 s on a quiet machine (see
+  Growth). The run above missed them because the machine was not quite idle.
+- **Memory** for one compiled and solved problem is well below 400 MB. Complete closed loops of the 118-bus
+  systems need about 480 MB, including their results and the problem of the single-stage optima.
+- **The time of a cold solve** grows with the horizon by an exponent above the goal of 1.3: from 6 to 96
+  stages the iterations increase from 16 to 26 and the time per iteration grows with an exponent of 1.25.
+  Warm steps, which make up a closed loop, grow in proportion to the horizon. A better starting point for
+  the first problem would help.
+- **Compilation takes more than a tenth of a cold solve** below about 3,000 buses: creating the functions
+  and the solver takes 0.07 to 0.2 s, whatever the size. Reusing compiled templates between problems would
+  help.
+- **Linear algebra takes nine tenths of a step**, in MUMPS with the small generic BLAS of CasADi's wheel.
+  Functions and derivatives take a tenth, Python next to nothing. A faster factorisation would help: another
+  linear solver (`linear_solver` is passed to IPOPT unchanged), or one that exploits the stage structure.
+- Realised costs over a few steps differ by 1e-5 between opfmodel and plain CasADi because the optimum is
+  flat in the timing of storage use. Objectives of plans from the same state agree to 1e-7.
 """
 
 
 def section(name: str, title: str, text: str) -> str:
-    """One benchmark: what it measures, its table, and how its goals were met."""
+    """One benchmark: its description, its table, and its ratios and goals."""
     path = RESULTS / f"{name}.json"
     lines = [f"## {title}", "", text, "", f"`python -m benchmarks.{name}`", ""]
     if not path.exists():
@@ -107,7 +107,7 @@ def section(name: str, title: str, text: str) -> str:
     lines += [_line(["---", *("---:" for _ in columns[1:])])]
     lines += [_line([format_cell(row.get(column)) for column in columns]) for row in rows]
     if content["goals"]:
-        lines += ["", _line(["ratio or goal", "reached"]), _line(["---", "---:"])]
+        lines += ["", _line(["ratio or goal", "measured"]), _line(["---", "---:"])]
         lines += [_line([goal, format_cell(value)]) for goal, value in content["goals"].items()]
     return "\n".join([*lines, "", f"{content['date']}; {_machine(content['machine'])}.", ""])
 

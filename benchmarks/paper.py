@@ -1,4 +1,4 @@
-"""The four systems of Faulwasser and Engelmann: our costs beside those of the paper's Table 1.
+"""Costs for the four systems of Faulwasser and Engelmann, compared with the paper's Table 1.
 
 python -m benchmarks.paper writes docs/paper-table.md.
 """
@@ -18,35 +18,35 @@ PAGE = ROOT / "docs" / "paper-table.md"
 REFERENCE = ROOT / "tests" / "data" / "paper" / "reference.json"
 SYSTEMS = ("case5-random", "case5-step", "case118-random", "case118-step")
 
-TEXT = """# The paper's table
+TEXT = """# Comparison with the paper
 
-Costs in thousands of $ of T. Faulwasser and A. Engelmann, "Towards economic NMPC for multi-stage AC optimal
-power flow" (2019), Table 1, beside ours. `make table` writes this page; `tests/test_paper.py` holds the
-code to it.
+Costs of opfmodel, in thousands of $, compared with Table 1 of T. Faulwasser and A. Engelmann, "Towards
+economic NMPC for multi-stage AC optimal power flow" (2019). `make table` writes this page;
+`tests/test_paper.py` tests the costs and their order.
 
 - **J_e**: closed loop of economic control, horizon 48 h, 49 steps.
-- **J_s**: sum of single-stage optima, without storage and ramps.
+- **J_s**: sum of single-stage optima, without storage and ramp limits.
 - **J_t**: closed loop that tracks the single-stage optima.
-- **J_b**: closed loop that tracks half-full storages.
+- **J_b**: closed loop that tracks half-full storage.
 
 {table}
 
-**Why they differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The
-steps of demand here (at bus 4 of the 5-bus system, at buses 59 and 116 of the 118-bus system) and the
-random demand (the load of Germany in a week of July 2019 with noise at every bus; the paper used a day of
-July 2018) are our choices, stated in the scenario files. The level of the random demand was chosen so
-that J_s is near the paper's, and noise of 5 % for the 5-bus system because with 10 % its ramps can make
-J_e dearer than J_s; nothing else was fitted. What can be compared is therefore the order J_e < J_s ≤ J_t
-< J_b, which holds in all four systems in the paper and here, and the size of the steps between them:
+**Why the costs differ.** The paper publishes neither its demand d(t) nor the full data of its systems. The
+demand used here is our choice, stated in the scenario files: demand steps at bus 4 of the 5-bus system and at
+buses 59 and 116 of the 118-bus system, and random demand from the load of Germany in a week of July 2019
+with noise at every bus (the paper used a day of July 2018). Only two values were fitted: the level of the
+random demand, to bring J_s close to the paper's, and the noise of 5 % for the 5-bus system, because with
+10 % its ramp limits can raise J_e above J_s. You can therefore compare the order J_e < J_s ≤ J_t < J_b,
+which holds for all four systems in the paper and here, and the cost differences:
 
 {gains}
 
-J_b is not unique: its objective leaves generation undetermined, so it depends on where a solver ends in a
-set of equally good dispatches. J_t of the paper's 118-bus step system lies 3.6 % above J_s; ours is within
-0.01 %: at these steps of demand ramps and storages suffice to follow the single-stage optima closely.
+J_b is not unique: its objective leaves generation undetermined, so J_b depends on which of many equally good
+dispatches the solver finds. The paper's J_t of the 118-bus step system is 3.6 % above J_s. Here it is
+within 0.01 %: with these demand steps, ramps and storage suffice to follow the single-stage optima closely.
 
-An independent program, `tests/data/paper/reference.py`, which shares no code with opfmodel and states the AC
-equations in rectangular voltages, finds for the two step systems, in thousands of $:
+An independent program, `tests/data/paper/reference.py`, shares no code with opfmodel and states the AC
+equations in rectangular voltage coordinates. For the two step systems it finds, in thousands of $:
 {reference}.
 
 {stamp}
@@ -54,8 +54,8 @@ equations in rectangular voltages, finds for the two step systems, in thousands 
 
 
 def gains(comparisons: list[Comparison]) -> str:
-    """How much storage and foresight save against the single-stage optima, here and in the paper."""
-    lines = ["| (J_s - J_e) / J_s | ours | paper |", "| --- | ---: | ---: |"]
+    """Savings by storage and foresight relative to the single-stage optima, here and in the paper."""
+    lines = ["| (J_s - J_e) / J_s | opfmodel | paper |", "| --- | ---: | ---: |"]
     for c in comparisons:
         ours, paper = (
             "–" if cost.get("J_e") is None or cost.get("J_s") is None else f"{_gain(cost):.2f} %"
@@ -70,7 +70,7 @@ def _gain(costs: dict[str, float]) -> float:
 
 
 def reference() -> str:
-    """The costs that the independent program found, in thousands of $."""
+    """Costs found by the independent program, in thousands of $."""
     systems = json.loads(REFERENCE.read_text(encoding="utf-8")).items()
     return "; ".join(
         f"{name} " + ", ".join(f"{cost} {value / 1000:,.2f}" for cost, value in entry["costs"].items())

@@ -1,4 +1,4 @@
-"""Single-stage AC-OPF beside pandapower and PYPOWER on the same data.
+"""Single-stage AC-OPF compared with pandapower and PYPOWER on the same data.
 
 python -m benchmarks.peers
 """
@@ -19,17 +19,17 @@ CASES = ("case5_pjm", "case14_ieee", "case30_as", "case57_ieee", "case118_ieee",
 
 
 def opfmodel_case(case: str) -> dict[str, Any]:
-    """From the declared network to its optimum; what a user waits for."""
+    """From the declared network to the optimum, as a user experiences it."""
     import opfmodel as om
 
-    om.MultiStage(_network("case3_lmbd")).solve()  # importing libraries counts for nobody
+    om.MultiStage(_network("case3_lmbd")).solve()  # exclude imports from the time
     network = _network(case)
     seconds, plan = timed(lambda: om.MultiStage(network).solve())
     return {"seconds": seconds, "objective": plan.objective, "status": plan.status}
 
 
 def pypower_case(case: str) -> dict[str, Any]:
-    """PYPOWER's ``runopf`` with its default interior-point solver."""
+    """Optimum by PYPOWER's ``runopf`` with its default interior-point solver."""
     try:
         from pypower.api import ppoption, runopf
     except ImportError as error:
@@ -72,7 +72,7 @@ def _silently(function: Any) -> Any:
 
 
 def _ppc(network: Any) -> dict[str, Any]:
-    """A network in MATPOWER's arrays, as PYPOWER and pandapower's converter take it."""
+    """A network as MATPOWER arrays, for PYPOWER and pandapower's converter."""
     from benchmarks.systems import vectors
     from opfmodel.network.arrays import per_unit
 

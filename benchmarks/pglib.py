@@ -1,4 +1,4 @@
-"""Our optima beside those that PGLib publishes, for every case in tests/data/pglib.
+"""Optima of opfmodel compared with those of PGLib, for every case in tests/data/pglib.
 
 python -m benchmarks.pglib writes docs/pglib.md.
 """
@@ -22,7 +22,7 @@ PAGE = ROOT / "docs" / "pglib.md"
 
 @dataclass(frozen=True)
 class Result:
-    """One case: the published values and our plans."""
+    """One case: the published values and the plans of opfmodel."""
 
     case: str
     published: dict[str, str]
@@ -43,13 +43,13 @@ class Result:
 
     @property
     def dc_difference(self) -> float | None:
-        """Relative difference of the DC optimum; None where PGLib says infeasible."""
+        """Relative difference of the DC optimum; None if PGLib reports infeasibility."""
         dc = self.published["dc_usd_per_h"]
         return None if dc == "inf." else self.dc.objective / float(dc) - 1
 
     @property
     def soc_gap(self) -> float:
-        """Gap of the SOC relaxation to our AC optimum, percent."""
+        """Gap of the SOC relaxation to the AC optimum of opfmodel, percent."""
         return 100 * self.soc.relaxation_gap(self.ac)
 
     @property
@@ -75,10 +75,10 @@ def page(results: list[Result]) -> str:
     lines = [
         "# PGLib",
         "",
-        "Optima of opfmodel beside those published with the IEEE PES Power Grid Library",
-        "(`tests/data/pglib/baseline.csv`), in $/h. Published costs have five significant digits, so that a",
-        "relative difference of up to 5e-5 is rounding; `inf.` is PGLib's word for a DC problem without a",
-        "solution. `make pglib` writes this page; `tests/test_pglib.py` holds the code to it.",
+        "Optima of opfmodel compared with those published for the IEEE PES Power Grid Library",
+        "(`tests/data/pglib/baseline.csv`), in $/h. Published costs have five significant digits, so",
+        "relative differences of up to 5e-5 are rounding. PGLib marks infeasible DC problems with `inf.`.",
+        "`make pglib` writes this page; `tests/test_pglib.py` tests the optima.",
         "",
         "| case | AC, PGLib | `ac` | `ac-rectangular` | DC, PGLib | `dc` | SOC gap, PGLib | `soc` gap |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -111,7 +111,7 @@ def _row(r: Result) -> str:
 
 
 def _published(text: str) -> str:
-    """A published cost with the digits it has."""
+    """Format a published cost with its number of digits."""
     if text == "inf.":
         return text
     decimals = 4 - int(np.floor(np.log10(float(text))))
@@ -134,8 +134,8 @@ def _statuses(results: list[Result]) -> list[str]:
         plans = [getattr(result, attribute) for result in results]
         solvers = sorted({plan.solution.solver for plan in plans})
         counts = {status: sum(p.status == status for p in plans) for status in {p.status for p in plans}}
-        said = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
-        lines.append(f"- `{name}` ({', '.join(solvers)}): {said}")
+        counted = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
+        lines.append(f"- `{name}` ({', '.join(solvers)}): {counted}")
     return lines
 
 

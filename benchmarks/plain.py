@@ -1,9 +1,8 @@
-"""The plain recipe: one MX expression over all stages, default options of CasADi and IPOPT.
+"""Plain CasADi: one MX expression over all stages, default options of CasADi and IPOPT.
 
-It is what one writes by following CasADi's examples, on the same arrays and with the same
-vectorised formulas, so that the difference is in how the problem is assembled and solved. It
-states the problem as it is: the small weight on storage power that opfmodel adds to make the
-problem well posed is a setting of opfmodel's solver and off here, unless it is asked for.
+This baseline follows CasADi's examples, on the same arrays and with the same vectorised formulas,
+so the difference lies in how the problem is assembled and solved. By default it omits the small
+weight on storage power (``regularisation``) that opfmodel adds to make the problem well posed.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ __all__ = ["PlainProblem"]
 class PlainProblem:
     """Multi-stage AC-OPF with storage, ramps and a given initial energy."""
 
-    def __init__(  # noqa: PLR0915 - one piece, as such scripts are
+    def __init__(  # noqa: PLR0915 - one function, as in such scripts
         self, network: PerUnitNetwork, horizon: int, weight: float = 1e-3, regularisation: float = 0.0
     ) -> None:
         network = vectors(network)
@@ -105,12 +104,12 @@ class PlainProblem:
         state: tuple[np.ndarray, np.ndarray | None] | None = None,
         start: np.ndarray | None = None,
     ) -> dict[str, Any]:
-        """Solve for a demand of shape ``(buses, stages)`` each.
+        """Solve for active and reactive demand, each of shape ``(buses, stages)``.
 
         Parameters
         ----------
         state
-            Energy and last dispatch; without a dispatch the first stage has no ramp.
+            Energy and last dispatch; without a dispatch the first stage has no ramp limit.
         start
             Primal values to start from, such as the last solution.
         """
@@ -133,5 +132,5 @@ class PlainProblem:
 
 
 def _incidence(buses: int, at: np.ndarray) -> Any:
-    """Matrix that sums component quantities at their buses."""
+    """Matrix that sums component quantities at each bus."""
     return ca.DM.triplet(at.tolist(), list(range(len(at))), np.ones(len(at)).tolist(), buses, len(at))

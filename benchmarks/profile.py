@@ -1,4 +1,4 @@
-"""Where the time of a receding step goes: functions, linear algebra, Python.
+"""Profile of a receding-horizon step: functions, linear algebra, Python.
 
 python -m benchmarks.profile
 """
@@ -16,7 +16,7 @@ FUNCTIONS = ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
 
 
 def profiled(horizon: int, situation: str) -> dict[str, Any]:
-    """One cold or warm solve of IEEE 118 with storage at every bus, by its parts."""
+    """Shares of one cold or warm solve of IEEE 118 with storage at every bus."""
     import opfmodel as om
 
     network, series = case118(horizon + 1)

@@ -1,6 +1,6 @@
 """The multi-stage AC-OPF with storage as a Pyomo model, for comparison.
 
-Pyomo writes the model as an NL file; CasADi reads it, so that the same build of IPOPT solves it.
+Pyomo writes the model to an NL file that CasADi reads, so the same build of IPOPT solves it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["pyomo_model", "solve_file"]
 
 
 def pyomo_model(network: PerUnitNetwork, pd: np.ndarray, qd: np.ndarray, weight: float = 1e-3) -> Any:
-    """State the problem of :class:`benchmarks.plain.PlainProblem` rule by rule, as Pyomo's users do."""
+    """State the problem of :class:`benchmarks.plain.PlainProblem` rule by rule, as is usual in Pyomo."""
     n, horizon = pd.shape
     network = vectors(network)
     bus, branch, gen, sto = network.bus, network.branch, network.generator, network.storage
@@ -109,7 +109,7 @@ def _middle(lower: np.ndarray, upper: np.ndarray) -> Any:
 
 
 def solve_file(path: Path) -> dict[str, Any]:
-    """Solve an NL file with the IPOPT of CasADi and its default options."""
+    """Solve an NL file with CasADi's IPOPT and its default options."""
     problem = ca.NlpBuilder()
     problem.import_nl(str(path))
     nlp = {"x": ca.vertcat(*problem.x), "f": problem.f, "g": ca.vertcat(*problem.g)}

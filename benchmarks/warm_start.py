@@ -1,4 +1,4 @@
-"""Ways to start the next problem of a receding horizon: iterations and time of each.
+"""Iterations and time of different starts for the next problem of a receding horizon.
 
 python -m benchmarks.warm_start
 """
@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.harness import arguments, measure, report
 
 SCENARIOS = Path(__file__).parent.parent / "scenarios"
-# First step and number of steps that are solved of each system.
+# First step and number of steps to solve for each system.
 WINDOWS = {
     "case5-step": (0, 12),
     "case5-random": (0, 14),
@@ -25,11 +25,11 @@ PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "m
 
 
 def pushed(push: float, **options: Any) -> dict[str, Any]:
-    """Options of IPOPT for a warm start that is moved off its bounds by ``push``."""
+    """IPOPT options for a warm start that is moved off its bounds by ``push``."""
     return {f"warm_start_{name}": push for name in PUSHES} | options
 
 
-# Stages at the end that stay in place (None: the last is repeated), and what is given to IPOPT.
+# Number of stages at the end that stay in place (None: the last is repeated), and IPOPT options.
 STARTS: dict[str, tuple[int | None, dict[str, Any]]] = {
     "last stage repeated, push 1e-6": (None, pushed(1e-6)),
     "last stage stays, push 1e-6": (1, pushed(1e-6)),
@@ -43,7 +43,7 @@ STARTS: dict[str, tuple[int | None, dict[str, Any]]] = {
 
 
 def moved(solution: Any, keep: int | None) -> Any:
-    """A solution moved ahead by one stage, with some last stages in place or the last repeated."""
+    """A solution shifted ahead by one stage; the last ``keep`` stages stay, or the last is repeated."""
     from solvers import Start
 
     def shift(vector: np.ndarray, blocks: Any) -> np.ndarray:
@@ -68,7 +68,7 @@ def moved(solution: Any, keep: int | None) -> Any:
 
 
 def starts(name: str, quick: bool) -> dict[str, Any]:
-    """Iterations and seconds of the solves after the first, for every way to start them."""
+    """Iterations and seconds of all solves but the first, for every start."""
     import opfmodel as om
 
     first, count = WINDOWS[name]
@@ -97,7 +97,7 @@ def starts(name: str, quick: bool) -> dict[str, Any]:
 
 
 def _loop(problem: Any, scenario: Any, first: int, count: int) -> tuple[list[Any], list[Any]]:
-    """Instances and cold solutions of a stretch of a closed loop that begins at the single-stage optimum."""
+    """Instances and cold solutions of part of a closed loop, which begins at the single-stage optimum."""
     import opfmodel as om
 
     metered = om.MultiStage(scenario.network, objective=scenario.cost, profiles=scenario.profiles)

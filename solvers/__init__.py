@@ -1,7 +1,7 @@
-"""Solver-neutral programs and the back ends that solve them. Knows nothing of power systems.
+"""Solver-neutral programs and the back ends that solve them, independent of power systems.
 
-State a problem with :class:`ProgramBuilder`, freeze it into a :class:`Program`, and hand it to
-:func:`solve`, or to :func:`prepare` when a sequence of instances is to be solved.
+State a problem with :class:`ProgramBuilder`, freeze it into a :class:`Program`, and pass it to
+:func:`solve`, or to :func:`prepare` to solve a sequence of instances.
 """
 
 from solvers.assembly import Assembly, Evaluator

@@ -1,8 +1,8 @@
-"""From placed templates to the functions of a whole program.
+"""Assembly of a program's functions from placed templates.
 
 Values and derivatives are taken template by template, mapped over the places of each template,
-and scattered into the global vectors and sparse matrices. Nothing here grows with the size of an
-expression graph: the graph of a template is small, and the rest is index arrays.
+and scattered into the global vectors and sparse matrices. No large expression graph is built:
+the graph of a template is small, and everything else is index arrays.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class Assembly:
     Parameters
     ----------
     program
-        The program. Its cones are not part of these functions; see
-        :func:`solvers.transform.smooth` for a program whose cones are rows.
+        The program. Its cones are not part of these functions;
+        :func:`solvers.transform.smooth` states them as rows.
     """
 
     def __init__(self, program: Program) -> None:
@@ -42,17 +42,17 @@ class Assembly:
 
     @cached_property
     def costs(self) -> Quadratic:
-        """The costs, folded as far as they are quadratic."""
+        """The costs; those that are quadratic are folded."""
         return fold_quadratic(self.program, self.program.costs)
 
     @cached_property
     def constraints(self) -> Affine:
-        """The rows, folded as far as they are affine."""
+        """The rows; those that are affine are folded."""
         return fold_affine(self.program, self.program.constraints, self.program.n_rows)
 
     @cached_property
     def cones(self) -> Affine:
-        """The values of the cones, folded as far as they are affine."""
+        """The cone values; those that are affine are folded."""
         return fold_affine(self.program, self.program.cone_values, self.program.n_cone_values)
 
     # Functions ---------------------------------------------------------------------------
@@ -107,11 +107,11 @@ class Assembly:
         ]
         return ca.Function("outputs", [self._x, self._p], values)
 
-    # Parts of them -----------------------------------------------------------------------
+    # Parts of the functions --------------------------------------------------------------
 
     @cached_property
     def _cost(self) -> tuple[Any, Any]:
-        """The objective, and the gradient of its folded part."""
+        """Objective, and gradient of its folded part."""
         q, x, p = self.costs, self._x, self._p
         curved = ca.mtimes(_constant(q.hxx), x)
         slope = ca.DM(q.gx) + ca.mtimes(_constant(q.hxp), p)
@@ -138,7 +138,7 @@ class Assembly:
         return function.map(placement.count)(*self._local(placement), *more)
 
     def _scatter(self, placements: Sequence[Placement], size: int) -> Any:
-        """Sum of the outputs of placements, each added where it belongs."""
+        """Sum of the outputs of placements, each added at its target position."""
         if not placements:
             return ca.MX.zeros(size, 1)
         values = [ca.vec(self._map(p.template.value, p)) for p in placements]
@@ -169,14 +169,14 @@ class Assembly:
         template = placement.template
         i, j = template.hessian_pattern
         first, second = placement.variables[i], placement.variables[j]
-        # d2/dx_i dx_j and d2/dx_j dx_i of two local variables at one place both land there
+        # where two local variables share a position, both mixed derivatives contribute to its diagonal
         twice = np.where((first == second) & (i != j)[:, None], 2.0, 1.0)
         values = self._map(template.hessian, placement, weights)
         matrix.add(np.minimum(first, second), np.maximum(first, second), values, twice)
 
 
 class _SparseSum:
-    """A sparse matrix collected from scattered entries, with repeated positions summed."""
+    """A sparse matrix accumulated from scattered entries; repeated positions are summed."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
@@ -197,7 +197,7 @@ class _SparseSum:
             self._values.append(ca.vec(values))
 
     def add_numbers(self, matrix: sp.csc_array, scale: Any = None) -> None:
-        """Add a constant matrix, scaled by a symbol if one is given; once at most."""
+        """Add a constant matrix, optionally scaled by a symbol; call at most once."""
         entries = matrix.tocoo()
         self._constant = (self._key(entries.row, entries.col), entries.data, scale)
 
@@ -245,19 +245,19 @@ def _gather(vector: Any, index: Index) -> Any:
 
 
 def _constant(matrix: sp.csc_array) -> Any:
-    """A SciPy matrix as CasADi has it."""
+    """A SciPy matrix as a CasADi matrix."""
     rows, columns = matrix.shape
     pattern = ca.Sparsity(rows, columns, matrix.indptr.tolist(), matrix.indices.tolist())
     return ca.DM(pattern, matrix.data)
 
 
 class Evaluator:
-    """The functions of a program on plain arrays, for certificates, matrices and tests.
+    """Functions of a program on NumPy arrays, for certificates, matrices and tests.
 
     Parameters
     ----------
     program
-        The program; ``p`` below is an instance's parameter vector.
+        The program. The argument ``p`` of the methods is an instance's parameter vector.
     """
 
     def __init__(self, program: Program) -> None:
@@ -290,7 +290,7 @@ class Evaluator:
         return _vector(values), _matrix(jacobian)
 
     def outputs(self, x: Array, p: Array) -> dict[str, Array]:
-        """Values of the named outputs, shape ``(items, stages)`` each."""
+        """Values of the named outputs, each of shape ``(items, stages)``."""
         if not self.program.outputs:
             return {}
         values = self.assembly.outputs.call([ca.DM(x), ca.DM(p)])

@@ -1,4 +1,4 @@
-"""Stating a program: blocks first, then what is added to them."""
+"""Stating a program: declare blocks, then add terms to them."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class Rows:
         self.index = index
 
     def __getitem__(self, key: Any) -> Rows:
-        """A selection of rows; items may repeat, so that several terms reach one row."""
+        """Select rows; items may repeat, so that several terms are added to one row."""
         return Rows(self.name, np.atleast_2d(self.index[key]))
 
 
 class ProgramBuilder:
-    """Collects blocks, rows, costs and cones, and freezes them into a :class:`solvers.Program`.
+    """Collect blocks, rows, costs and cones, and freeze them into a :class:`solvers.Program`.
 
     Parameters
     ----------
     name
-        Name of the program, for messages.
+        Name of the program, used in messages.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class ProgramBuilder:
         upper: npt.ArrayLike = np.inf,
         start: npt.ArrayLike | None = None,
     ) -> Expression:
-        """Declare a block of variables; by default they start at the feasible point nearest to zero."""
+        """Declare a block of variables, which start at the point within their bounds nearest to zero."""
         block = self._block(self._variables, name, items, stages, lower, upper, 0.0)
         value = np.clip(0.0, block.lower, block.upper) if start is None else block.spread(start)
         self._variables[name] = Block(
@@ -85,7 +85,7 @@ class ProgramBuilder:
         return reference(self, "variable", block.index)
 
     def parameter(self, name: str, items: int, stages: int = 1, value: npt.ArrayLike = 0.0) -> Expression:
-        """Declare a block of parameters: numbers that change from instance to instance."""
+        """Declare a block of parameters, whose values may change from instance to instance."""
         block = self._block(self._parameters, name, items, stages, -np.inf, np.inf, value)
         return reference(self, "parameter", block.index)
 
@@ -97,11 +97,11 @@ class ProgramBuilder:
         lower: npt.ArrayLike = 0.0,
         upper: npt.ArrayLike = 0.0,
     ) -> Rows:
-        """Declare a block of rows, empty so far; :meth:`add` puts terms into them."""
+        """Declare a block of empty rows; :meth:`add` adds terms to them."""
         block = self._block(self._rows, name, items, stages, lower, upper, 0.0)
         return Rows(name, block.index)
 
-    # What is added to them ---------------------------------------------------------------
+    # Terms -------------------------------------------------------------------------------
 
     def add(
         self,
@@ -111,19 +111,19 @@ class ProgramBuilder:
         variables: Index | None = None,
         parameters: Index | None = None,
     ) -> None:
-        """Add terms to rows; what several terms add to the same row is summed.
+        """Add terms to rows; terms added to the same row are summed.
 
         Parameters
         ----------
         what
-            An expression, a sum, or several expressions that share a template (which is cheaper
-            than one template each when they share sub-expressions). Or a :class:`Template`,
-            placed by index arrays.
+            An expression, a sum, or several expressions that share a template (cheaper than one
+            template each if they have common sub-expressions); or a :class:`Template`, placed by
+            index arrays.
         into
-            The rows, one per expression, that broadcast against it; for a template positions of
-            shape ``(n_outputs, M)`` with -1 where an output is not wanted.
+            Rows for each expression, which broadcast against it; for a template, positions of
+            shape ``(n_outputs, M)``, with -1 to discard an output.
         variables, parameters
-            Only for a template: positions of shape ``(n_variables, M)`` and ``(n_parameters, M)``.
+            For a template only: positions of shape ``(n_variables, M)`` and ``(n_parameters, M)``.
         """
         if isinstance(what, Template):
             count = np.asarray(into).shape[1]
@@ -158,7 +158,7 @@ class ProgramBuilder:
                 self._costs.append(self._place(f"cost {len(self._costs) + 1}", [term], None))
 
     def constrain(self, name: str, constraint: Constraint) -> Rows:
-        """Declare rows for a comparison of expressions or sums and fill them."""
+        """Add a comparison of expressions or sums as a new block of rows."""
         body = constraint.body
         items, stages = (1, body.stages) if isinstance(body, Sum) else body.shape
         rows = self.rows(name, items, stages, constraint.lower, constraint.upper)
@@ -166,9 +166,9 @@ class ProgramBuilder:
         return rows
 
     def cone(self, name: str, bound: Any, *entries: Any) -> None:
-        """State ``||(entries)||_2 <= bound`` entrywise; all must be affine in the variables.
+        """State ``||(entries)||_2 <= bound`` entrywise; all arguments must be affine in the variables.
 
-        Of expressions without entries there is no cone.
+        Expressions without entries add no cone.
         """
         expressions = [self.expression(e) for e in (bound, *entries)]
         shape = np.broadcast_shapes(*(e.shape for e in expressions))
@@ -182,7 +182,7 @@ class ProgramBuilder:
         self._cone_values.append(self._place(name, expressions, index))
 
     def output(self, name: str, expression: Expression) -> None:
-        """Name an expression whose values every solution reports."""
+        """Declare a named expression whose values every solution reports."""
         items, stages = expression.shape
         index = np.arange(items * stages, dtype=np.intp).reshape((items, stages), order="F")
         self._outputs[name] = Output(name, items, stages, self._place(name, [expression], [index]))
@@ -190,20 +190,20 @@ class ProgramBuilder:
     # Expressions -------------------------------------------------------------------------
 
     def expression(self, values: Any) -> Expression:
-        """An expression as it is; numbers as a constant expression."""
+        """Return an expression unchanged, and numbers as a constant expression."""
         if isinstance(values, Expression):
             return values
         if isinstance(values, Sum):
-            raise ProgramError("a sum cannot enter a formula; it can only be added, scaled and compared")
+            raise ProgramError("a sum cannot be used in a formula; sums can be added, scaled and compared")
         return constant(self, values)
 
     def epigraph(
         self, pieces: Sequence[Expression | Sum], owner: Index | None = None, items: int | None = None
     ) -> Expression:
-        """A new variable that lies above each piece. See :func:`solvers.largest`."""
+        """Declare a variable bounded from below by each piece. See :func:`solvers.largest`."""
         shape = np.broadcast_shapes(*(p.shape for p in pieces))
         if shape[0] != 1 and any(isinstance(p, Sum) for p in pieces):
-            raise ProgramError(f"a sum has one value per stage; it does not combine with {shape[0]} items")
+            raise ProgramError(f"a sum has one value per stage; it cannot be combined with {shape[0]} items")
         name = f"largest {len(self._epigraphs) + 1}"
         above = self.variable(name, shape[0] if items is None else items, shape[1])
         rows = [f"{name}, piece {position + 1}" for position in range(len(pieces))]
@@ -213,7 +213,7 @@ class ProgramBuilder:
         return above
 
     def build(self) -> Program:
-        """Freeze what has been declared into a program."""
+        """Freeze the declarations into a program."""
         return Program(
             name=self.name,
             variables=dict(self._variables),
@@ -232,7 +232,7 @@ class ProgramBuilder:
     def _check_new(self, name: str) -> None:
         taken: tuple[dict[str, Any], ...] = (self._variables, self._parameters, self._rows, self._cones)
         if any(name in blocks for blocks in taken):
-            raise ProgramError(f"program {self.name!r} has a block named {name!r} already")
+            raise ProgramError(f"program {self.name!r}: block {name!r} already exists")
 
     def _block(
         self,
@@ -256,7 +256,7 @@ class ProgramBuilder:
         return block
 
     def _place(self, name: str, expressions: Sequence[Expression], into: Sequence[Index] | None) -> Placement:
-        """Turn expressions into one template and the places where it is used."""
+        """Turn expressions into one template and its placement."""
         shape = np.broadcast_shapes(*(e.shape for e in expressions), *(i.shape for i in into or ()))
         leaves: dict[str, Leaf] = {}
         for expression in expressions:
@@ -281,13 +281,13 @@ class ProgramBuilder:
             ca.vertcat(*(leaf.symbol for leaf in parameters)),
             ca.vertcat(*(e.formula for e in expressions)),
         )
-        index = np.zeros((1, count), dtype=np.intp)  # a cost has one place to go
+        index = np.zeros((1, count), dtype=np.intp)  # all entries of a cost add to one value
         if into is not None:
             index = np.stack([flatten(i) for i in into])
         return Placement(template, variable_index, parameter_index, index, name)
 
     def _data_block(self, leaf: Leaf) -> Block:
-        """The parameter block that holds a constant of the formulas; equal constants share it."""
+        """Parameter block that holds a constant of the formulas; equal constants share a block."""
         key = leaf.symbol.name()
         if key not in self._data:
             values = np.asarray(leaf.source, dtype=float)

@@ -1,4 +1,4 @@
-"""Holding a convex solver to its word: what it reports is measured before it is believed."""
+"""Certification of convex solvers: the reported status is checked against measured residuals."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from solvers.status import SolutionStatus, TerminationCondition
 
 __all__ = ["certified"]
 
-# Relative to the numbers of the program. First-order methods stop at 1e-6 of their own scaled
-# residuals, which are up to a hundred times larger in the program's.
+# Relative to the magnitudes in the program. First-order methods stop when their own scaled residuals
+# reach 1e-6; in the units of the program these are up to a hundred times larger.
 _CONVERGED = 1e-4
 _ACCEPTABLE = 1e-3
 
 
 def certified(solution: Solution) -> Solution:
-    """The solution of a convex program with the status that its own numbers support.
+    """Return the solution of a convex program with the status that its residuals support.
 
-    Where the solver reports an optimum, the largest of primal residual, dual residual and gap
-    decides, each relative to the size of what it is the error of: below 1e-4 the point is an optimum,
-    below 1e-3 an acceptable one, and otherwise it is none. Where it reports infeasibility, this is
-    proven if the multipliers are a certificate; see :func:`solvers.proves_infeasible`. Anything else
-    has no status.
+    If the solver reports an optimum, the largest of primal residual, dual residual and gap decides,
+    each relative to the magnitude of the quantities involved: up to 1e-4 the point is optimal, up to
+    1e-3 acceptable, and above that it has no status. If it reports infeasibility, this is proven if
+    the multipliers are a certificate (see :func:`solvers.proves_infeasible`) and local otherwise. Any
+    other termination has no status.
     """
     if solution.termination is TerminationCondition.INFEASIBLE:
         matrices = MatrixMaker(solution.evaluator).at(solution.instance)
@@ -46,13 +46,13 @@ def certified(solution: Solution) -> Solution:
             solution,
             status=SolutionStatus.GLOBALLY_OPTIMAL,
             termination=TerminationCondition.ACCEPTABLE,
-            message=f"{solution.message}; its residuals are {error:.0e} relative",
+            message=f"{solution.message}; the largest relative residual is {error:.0e}",
         )
     return replace(
         solution,
         status=SolutionStatus.NONE,
         termination=TerminationCondition.NUMERICAL_FAILURE,
-        message=f"{solution.message}, but its residuals are {error:.0e} relative",
+        message=f"{solution.message}, but the largest relative residual is {error:.0e}",
     )
 
 

@@ -1,4 +1,4 @@
-"""The errors that this package raises on purpose."""
+"""Exceptions raised by this package."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ class SolverError(Exception):
 
 
 class ProgramError(SolverError):
-    """A program is ill-formed: a wrong shape, an unknown block, a bound that crosses another."""
+    """A program is ill-formed: a wrong shape, an unknown block, crossed bounds."""
 
 
 class UnsupportedProgramError(SolverError):
-    """A back end was asked to solve a program that it cannot represent."""
+    """A back end cannot represent the program."""
 
 
 class UnknownSolverError(SolverError):
-    """No back end of that name, or its library is not installed."""
+    """No back end or installed solver has the given name."""
 
 
 class SolverOptionError(SolverError):
-    """A back end refused one of the options it was given."""
+    """A solver rejected one of its options."""

@@ -1,10 +1,10 @@
-"""Arrays of values that share one formula: the plain arithmetic that becomes templates.
+"""Arrays of values that share one formula, from which templates are made.
 
 An :class:`Expression` of shape ``(items, stages)`` is one small symbolic formula together with
-the places its symbols are read from. Arithmetic, slicing and NumPy functions act on the formula
-once, however large the array is, and a :class:`solvers.ProgramBuilder` turns the result into a
-template placed ``items * stages`` times. The functions of this module accept plain arrays too,
-so that the same text states a cost to a solver and evaluates it on numbers.
+the positions from which its symbols are read. Arithmetic, slicing and NumPy functions act once on
+the formula, whatever the size of the array, and a :class:`solvers.ProgramBuilder` turns the
+result into a template placed ``items * stages`` times. The functions of this module also accept
+NumPy arrays, so the same code states a cost to a solver and evaluates it numerically.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ _NOT_SMOOTH: dict[np.ufunc, str] = {
     np.fmax: "a maximum is not smooth; write largest(x, y)",
     np.minimum: "a minimum is not smooth; write -largest(-x, -y)",
     np.fmin: "a minimum is not smooth; write -largest(-x, -y)",
-    np.sign: "a sign is not smooth; a formula cannot have one",
+    np.sign: "a sign is not smooth; it cannot be used in a formula",
 }
 
-# array <= expression reaches us as a ufunc with the sides in this order: turn it round
+# NumPy passes array <= expression to __array_ufunc__ with the operands in this order: swap them
 _TURNED: dict[np.ufunc, Callable[..., Any]] = {
     np.less_equal: lambda expression, array: expression >= array,
     np.greater_equal: lambda expression, array: expression <= array,
@@ -96,10 +96,10 @@ _TURNED_SUMS = _TURNED | {
 
 @dataclass(frozen=True, eq=False)
 class Leaf:
-    """A symbol of a formula and where each of its values is read from.
+    """A symbol of a formula and the source of its values.
 
-    ``source`` has a shape that broadcasts to that of the expression: positions in the vector
-    of variables or parameters, or the numbers themselves for a constant.
+    ``source`` broadcasts to the shape of the expression. It holds positions in the vector of
+    variables or parameters or, for a constant, the values themselves.
     """
 
     kind: LeafKind
@@ -108,7 +108,7 @@ class Leaf:
 
 
 class _Symbolic:
-    """What compares to constraints and stands in no array of NumPy."""
+    """Base of symbolic operands: comparisons give constraints, and NumPy functions raise."""
 
     __slots__ = ()
     __hash__ = None  # type: ignore[assignment]
@@ -137,16 +137,16 @@ class _Symbolic:
 def _unavailable(name: str) -> ProgramError:
     known = ", ".join(sorted(ufunc.__name__ for ufunc in _UFUNCS))
     return ProgramError(
-        f"numpy.{name} does not act on expressions; arithmetic, slicing, total, largest and these do: {known}"
+        f"numpy.{name} does not support expressions; use arithmetic, slicing, total, largest or: {known}"
     )
 
 
 class Expression(_Symbolic):
-    """An array of shape ``(items, stages)`` of values of one formula.
+    """An array of shape ``(items, stages)`` whose values share one formula.
 
-    Made by :class:`solvers.ProgramBuilder`; combined by arithmetic, NumPy functions and slicing.
-    Arrays of numbers take part: shape ``(items,)`` is one value per item, ``(items, stages)``
-    one per entry.
+    Created by :class:`solvers.ProgramBuilder`; supports arithmetic, NumPy functions and slicing.
+    In combination with an expression, a numeric array of shape ``(items,)`` gives one value per
+    item and one of shape ``(items, stages)`` one per entry.
     """
 
     __slots__ = ("builder", "formula", "leaves", "shape")
@@ -173,7 +173,7 @@ class Expression(_Symbolic):
         return self.shape[1]
 
     def __getitem__(self, key: Any) -> Expression:
-        """Select items, or items and stages, as NumPy does with an array of two dimensions."""
+        """Select items, or items and stages, as in a two-dimensional NumPy array."""
         keys = key if isinstance(key, tuple) else (key, slice(None))
         rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
         old, new, leaves = [], [], {}
@@ -191,7 +191,7 @@ class Expression(_Symbolic):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         if any(isinstance(i, Sum) for i in inputs):
-            return NotImplemented  # the sum refuses it
+            return NotImplemented  # left to Sum, which raises
         if ufunc in _TURNED and isinstance(inputs[1], Expression):
             return _TURNED[ufunc](inputs[1], inputs[0])
         if ufunc in _NOT_SMOOTH:
@@ -199,18 +199,18 @@ class Expression(_Symbolic):
         if method != "__call__" or ufunc not in _UFUNCS:
             raise _unavailable(ufunc.__name__ if method == "__call__" else f"{ufunc.__name__}.{method}")
         if kwargs:
-            raise ProgramError(f"numpy.{ufunc.__name__} takes no {', '.join(kwargs)} for expressions")
+            raise ProgramError(f"numpy.{ufunc.__name__} does not support {', '.join(kwargs)} for expressions")
         return self._combine(_UFUNCS[ufunc], *inputs)
 
     def _combine(self, operation: Callable[..., Any], *inputs: Any) -> Expression:
         operands = [self.builder.expression(i) for i in inputs]
         if any(operand.builder is not self.builder for operand in operands):
-            raise ProgramError("an expression combines quantities of two different programs")
+            raise ProgramError("cannot combine expressions of two different programs")
         try:
             shape = np.broadcast_shapes(*(o.shape for o in operands))
         except ValueError:
             shapes = " and ".join(str(o.shape) for o in operands)
-            raise ProgramError(f"expressions of shapes {shapes} (items, stages) do not combine") from None
+            raise ProgramError(f"cannot broadcast expressions of shapes {shapes} (items, stages)") from None
         leaves: dict[str, Leaf] = {}
         for operand in operands:
             leaves.update(operand.leaves)
@@ -255,10 +255,10 @@ class Expression(_Symbolic):
 
 
 class Sum(_Symbolic):
-    """A sum of expressions over their items: one value per stage. Made by :func:`total`.
+    """A sum of expressions over their items, with one value per stage. Created by :func:`total`.
 
-    Sums can be added, subtracted, multiplied by numbers and compared; they cannot enter a
-    nonlinear function, because a program adds up only the results of templates.
+    Sums can be added, subtracted, multiplied by numbers and compared. They cannot be arguments of
+    a nonlinear function because a program sums only the outputs of templates.
     """
 
     __slots__ = ("terms",)
@@ -274,7 +274,7 @@ class Sum(_Symbolic):
         if known and not isinstance(inputs[0], _Symbolic):
             return _TURNED_SUMS[ufunc](inputs[1], inputs[0])
         raise ProgramError(
-            f"numpy.{ufunc.__name__} does not act on sums; they can only be added, scaled and compared"
+            f"numpy.{ufunc.__name__} does not support sums; sums can be added, scaled and compared"
         )
 
     @property
@@ -288,7 +288,7 @@ class Sum(_Symbolic):
         return 1, self.stages
 
     def spread(self) -> tuple[Expression, ...]:
-        """The terms, those of a single stage counting in every stage."""
+        """Return the terms, repeating those of a single stage in every stage."""
         return tuple(
             Expression(term.builder, term.formula, term.leaves, (term.items, self.stages))
             for term in self.terms
@@ -305,7 +305,7 @@ class Sum(_Symbolic):
         expression = builder.expression(values)
         if expression.items != 1:
             raise ProgramError(
-                f"a sum has one value per stage; it does not combine with {expression.items} items"
+                f"a sum has one value per stage; it cannot be combined with {expression.items} items"
             )
         return (expression,)
 
@@ -326,7 +326,7 @@ class Sum(_Symbolic):
 
     def __mul__(self, other: Any) -> Sum:
         if isinstance(other, Sum | Expression):
-            raise ProgramError("a sum can be multiplied by numbers only")
+            raise ProgramError("a sum can only be multiplied by numbers")
         factor = np.asarray(other, dtype=float)
         factor = factor.reshape(1, -1) if factor.ndim < 2 else factor
         return Sum(tuple(term * factor for term in self.terms))
@@ -336,25 +336,25 @@ class Sum(_Symbolic):
 
     def __truediv__(self, other: Any) -> Sum:
         if isinstance(other, Sum | Expression):
-            raise ProgramError("a sum can be divided by numbers only; multiply the comparison out")
+            raise ProgramError("a sum can only be divided by numbers; multiply both sides instead")
         return self.__mul__(1.0 / np.asarray(other, dtype=float))
 
     def __pow__(self, other: Any) -> Sum:
         raise ProgramError(
-            "a sum cannot be raised to a power; square its terms, or state the sum as a variable"
+            "a sum cannot be raised to a power; square its terms, or define the sum as a variable"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """``lower <= body <= upper``. Made by comparing expressions or sums."""
+    """``lower <= body <= upper``. Created by comparing expressions or sums."""
 
     body: Expression | Sum
     lower: float
     upper: float
 
     def __bool__(self) -> bool:
-        raise ProgramError("a constraint has no truth value; write each comparison on its own")
+        raise ProgramError("a constraint has no truth value; write each comparison separately")
 
 
 @overload
@@ -383,9 +383,9 @@ def total(values: Any) -> Any:
 def largest(*values: Any) -> Any:
     """Entrywise maximum of expressions or arrays: ``max(0, x)``, ``|x| = max(x, -x)``.
 
-    For a program the maximum is a new variable that lies above each argument, which is exact
-    where the result is minimised or bounded from above; anything else would not be convex. Of
-    sums (``largest(0.0, total(x) - 5.0)``) it is one value per stage.
+    In a program the maximum is a new variable bounded from below by each argument. This is exact
+    where the result is minimised or bounded from above; any other use would not be convex. The
+    maximum of sums (``largest(0.0, total(x) - 5.0)``) has one value per stage.
     """
     builder = _builder(values)
     if builder is None:
@@ -399,11 +399,11 @@ def largest_by(owner: npt.NDArray[np.intp], pieces: Any, items: int) -> Any:
     Parameters
     ----------
     owner
-        For each row of ``pieces`` the item, from 0 to ``items - 1``, that it belongs to.
+        Item, from 0 to ``items - 1``, to which each row of ``pieces`` belongs.
     pieces
         Expression or array of shape ``(len(owner), stages)``.
     items
-        Number of rows of the result; each must own at least one piece.
+        Number of rows of the result; each must have at least one piece.
     """
     if isinstance(pieces, Expression):
         return pieces.builder.epigraph([pieces], owner=owner, items=items)
@@ -423,14 +423,14 @@ def _builder(values: Sequence[Any]) -> ProgramBuilder | None:
 
 
 def constant(builder: ProgramBuilder, values: Any) -> Expression:
-    """Numbers as an expression; a single value becomes part of the formula."""
+    """Numbers as an expression; a uniform value becomes part of the formula."""
     array = np.asarray(values, dtype=float)
     if array.ndim == 1:
         array = array[:, None]
     if array.ndim > 2 or not np.isfinite(array).all():
         raise ProgramError(
-            f"an array of shape {array.shape} cannot enter an expression: at most two dimensions and "
-            "finite numbers can; what has no limit is left out"
+            f"an array of shape {array.shape} cannot be used in an expression; values must be finite, "
+            "with at most two dimensions (leave out entries without a limit)"
         )
     shape = (1, 1) if array.ndim == 0 else (array.shape[0], array.shape[1])
     if array.size and (array == array.flat[0]).all():
@@ -440,13 +440,13 @@ def constant(builder: ProgramBuilder, values: Any) -> Expression:
 
 
 def reference(builder: ProgramBuilder, kind: LeafKind, index: Index) -> Expression:
-    """The entries of the variables or parameters at ``index``, shape ``(items, stages)``."""
+    """Entries of the variables or parameters at ``index``, shape ``(items, stages)``."""
     leaf = _leaf(builder, kind, index)
     return Expression(builder, leaf.symbol, {leaf.symbol.name(): leaf}, (index.shape[0], index.shape[1]))
 
 
 def _leaf(builder: ProgramBuilder, kind: LeafKind, source: Index | Array) -> Leaf:
-    """A leaf whose symbol is the same object whenever the source is the same, so that x - x is 0."""
+    """A leaf whose symbol is the same object for equal sources, so that x - x is 0."""
     digest = hashlib.blake2b(np.ascontiguousarray(source).tobytes(), digest_size=8).hexdigest()
     name = f"{kind}_{source.shape[0]}_{source.shape[1]}_{digest}"
     if name not in builder.symbols:

@@ -1,7 +1,7 @@
-"""The part of a program that is polynomial with constant coefficients, as matrices.
+"""Affine rows and quadratic costs with constant coefficients, folded into matrices.
 
-With ``z = (x, p)`` the rows that are affine in ``z`` and the costs that are quadratic in ``z`` are
-folded into a few sparse matrices once. What is left goes on being evaluated template by template.
+With ``z = (x, p)``, rows that are affine in ``z`` and costs that are quadratic in ``z`` are folded
+once into a few sparse matrices. The remaining placements are evaluated template by template.
 Constants of the formulas (blocks of fixed parameters) are coefficients, not part of ``z``.
 """
 
@@ -28,7 +28,7 @@ class Affine:
     Attributes
     ----------
     rest
-        Placements that are not part of it.
+        Placements that are not folded.
     """
 
     a: sp.csc_array
@@ -44,7 +44,7 @@ class Quadratic:
     Attributes
     ----------
     rest
-        Placements that are not part of it.
+        Placements that are not folded.
     """
 
     hxx: sp.csc_array
@@ -57,7 +57,7 @@ class Quadratic:
 
 
 class _Entries:
-    """Entries of a sparse matrix, collected in pieces."""
+    """Entries of a sparse matrix, collected in batches."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape = shape
@@ -72,14 +72,14 @@ class _Entries:
         self.values.append(values.ravel()[kept])
 
     def matrix(self) -> sp.csc_array:
-        """The matrix; entries at one place are summed."""
+        """The matrix; entries at the same position are summed."""
         if not self.values:
             return sp.csc_array(self.shape)
         place = (np.concatenate(self.rows), np.concatenate(self.columns))
         return sp.coo_array((np.concatenate(self.values), place), shape=self.shape).tocsc()
 
     def vector(self) -> Array:
-        """The only column of the matrix."""
+        """The single column of the matrix."""
         return np.asarray(self.matrix().toarray(), dtype=float).ravel()
 
 
@@ -128,12 +128,12 @@ def fold_quadratic(program: Program, placements: Iterable[Placement]) -> Quadrat
 
 
 class _Local:
-    """A placement with its local symbols sorted into ``z`` and constants.
+    """A placement with its local symbols separated into ``z`` and constants.
 
     Attributes
     ----------
     positions
-        Position of each local ``z`` in the global one, at every place.
+        Global position of each local entry of ``z``, at every place.
     """
 
     def __init__(self, program: Program, placement: Placement) -> None:
@@ -150,20 +150,20 @@ class _Local:
         self._count = placement.count
 
     def numbers(self, expression: Any) -> Array:
-        """Nonzeros of an expression in the constants, at every place: ``(nonzeros, M)``."""
+        """Nonzeros of an expression of the constants, at every place: ``(nonzeros, M)``."""
         nonzeros = ca.vertcat(*expression.nonzeros())
         function = ca.Function("numbers", [self._constants], [ca.densify(nonzeros)])
         return map_numbers(function, self._count, self._data)
 
 
 def map_numbers(function: Any, count: int, *arguments: Array) -> Array:
-    """Values of a template function at every place, as an array ``(outputs, count)``."""
+    """Values of a template function at every place, shape ``(outputs, count)``."""
     out = function.map(count)(*(ca.DM(a) if a.size else ca.DM(*a.shape) for a in arguments))
     return np.asarray(ca.densify(out), dtype=float).reshape(-1, count)
 
 
 def _at_zero(expression: Any, symbols: Any) -> Any:
-    """An expression with symbols replaced by zero, without entries that are zero then."""
+    """Set ``symbols`` to zero in an expression, and drop entries that become zero."""
     if not symbols.numel():
         return expression
     return ca.sparsify(ca.substitute(expression, symbols, ca.SX.zeros(symbols.shape)))

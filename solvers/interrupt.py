@@ -1,4 +1,4 @@
-"""Ctrl-C during a solve: the solver stops and the interrupt is not lost."""
+"""Ctrl-C during a solve stops the solver and raises ``KeyboardInterrupt``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ __all__ = ["interruptible"]
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise ``KeyboardInterrupt`` on leaving if Ctrl-C was pressed inside.
+    """Raise ``KeyboardInterrupt`` on exit if Ctrl-C was pressed inside the block.
 
-    CasADi turns the interrupt into a failed solve and a warning on standard error; here it
-    becomes an interrupt again. Outside the main thread, which receives no signals, nothing changes.
+    CasADi turns the interrupt into a failed solve and a warning on standard error; this context
+    manager drops the warning and restores the interrupt. It has no effect outside the main thread,
+    as other threads receive no signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -30,17 +31,17 @@ def interruptible() -> Iterator[None]:
         signal.default_int_handler(signum, frame)
 
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler:  # somebody else's handler, or ignored: leave it
+    if before is not signal.default_int_handler:  # a custom handler, or ignored: leave it
         yield
         return
     signal.signal(signal.SIGINT, stop)
-    said = io.StringIO()
+    captured = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(captured):
             yield
     finally:
         signal.signal(signal.SIGINT, before)
         if not pressed:
-            sys.stderr.write(said.getvalue())
+            sys.stderr.write(captured.getvalue())
     if pressed:
         raise KeyboardInterrupt

@@ -1,8 +1,8 @@
-"""Convex programs as matrices: what quadratic and conic back ends take.
+"""Convex programs as matrices, the input of quadratic and conic back ends.
 
-The matrices come from :mod:`solvers.folding` once, and the vectors are affine in the parameters,
-so that the next instance changes vectors only. Where a coefficient itself depends on a changing
-parameter, the matrices are evaluated anew at each instance.
+:mod:`solvers.folding` makes the matrices once, and the vectors are affine in the parameters, so a
+new instance changes only vectors. If a coefficient depends on a parameter that instances may
+change, the matrices are re-evaluated at each instance.
 """
 
 from __future__ import annotations
@@ -48,21 +48,21 @@ class Matrices:
 
     @property
     def cost_scale(self) -> float:
-        """What conic solvers want the cost divided by: the mean size of its slopes, at least 1.
+        """Divisor of the cost for conic solvers: the mean magnitude of its slopes, at least 1.
 
-        Slopes in $ per p.u. are thousands.
+        Slopes in $ per p.u. are in the thousands.
         """
         return max(1.0, float(np.abs(self.q).sum()) / max(1, self.q.size))
 
 
 class MatrixMaker:
-    """Makes the matrices of a program for one instance after the other.
+    """Make the matrices of a program for successive instances.
 
     Parameters
     ----------
     evaluator
-        Functions of a program whose rows are affine, whose costs are at most quadratic and whose
-        cones are affine; see :func:`solvers.classify`.
+        Functions of a program with affine rows, costs that are at most quadratic, and affine
+        cones; see :func:`solvers.classify`.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:
@@ -76,7 +76,7 @@ class MatrixMaker:
         return not (assembly.costs.rest or assembly.constraints.rest or assembly.cones.rest)
 
     def at(self, instance: Instance) -> Matrices:
-        """Matrices and vectors for the numbers of an instance."""
+        """Matrices and vectors for an instance."""
         p = instance.parameters
         if self.constant:
             assembly = self._evaluator.assembly
@@ -109,8 +109,8 @@ class MatrixMaker:
 class StandardForm:
     """A quadratic program ``minimise x'px/2 + q'x`` s.t. ``ax = b, gx <= h, lb <= x <= ub``.
 
-    Fixed variables are equalities here, because interior-point methods need an interior. The
-    multipliers return by :meth:`multipliers`.
+    Fixed variables become equalities because interior-point methods need an interior.
+    :meth:`multipliers` maps the multipliers back.
     """
 
     p: sp.csc_array
@@ -138,7 +138,7 @@ class StandardForm:
 
 
 def standard_form(m: Matrices) -> StandardForm:
-    """Sort rows into equalities and inequalities, and fixed variables to the equalities."""
+    """Separate rows into equalities and inequalities; fixed variables become equalities."""
     fixed = np.flatnonzero(m.lower == m.upper)
     equal = np.flatnonzero(m.row_lower == m.row_upper)
     rest = m.row_lower < m.row_upper
@@ -170,10 +170,10 @@ _FAR = 1e3
 def proves_infeasible(m: Matrices, lam_x: Array, lam_g: Array, z: Array) -> bool:
     """Whether multipliers are a Farkas certificate that no point satisfies the constraints.
 
-    Any feasible x satisfies ``0 = (lam_x + a' lam_g - s' z)' x <= support`` where the support is
-    the largest value that bounds and cones leave to the three terms; a negative support excludes
-    every x. What does not vanish exactly in the left side is charged to the bounds of the
-    variables, and to ``|x| <= 1000`` for variables without bounds.
+    Any feasible x satisfies ``0 = (lam_x + a' lam_g - s' z)' x <= support``, where the support is
+    the maximum of the three terms that bounds and cones allow; a negative support excludes every x.
+    A residual of the left-hand side is charged to the bounds of the variables, and to
+    ``|x| <= 1000`` for variables without bounds.
     """
     scale = max(np.abs(lam_x).max(initial=0), np.abs(lam_g).max(initial=0), np.abs(z).max(initial=0))
     if not np.isfinite(scale) or scale == 0:
@@ -185,7 +185,7 @@ def proves_infeasible(m: Matrices, lam_x: Array, lam_g: Array, z: Array) -> bool
 
 
 def _support(multiplier: Array, lower: Array, upper: Array) -> float:
-    """Largest value of ``multiplier' v`` over ``lower <= v <= upper``."""
+    """Maximum of ``multiplier' v`` over ``lower <= v <= upper``."""
     high = np.where(np.isinf(upper), _FAR, upper)
     low = np.where(np.isinf(lower), -_FAR, lower)
     return float(np.maximum(multiplier, 0.0) @ high + np.minimum(multiplier, 0.0) @ low)

@@ -7,9 +7,9 @@ A :class:`Program` is frozen data. It states::
                 lower      <=      x       <=  upper
                 s(x, p) = (t, u)  with  ||u||_2 <= t    for every cone
 
-where ``x`` and ``p`` are cut into named blocks of shape ``(items, stages)``. An
-:class:`Instance` holds the numbers of one solve, so that the next problem of a receding
-horizon is a new instance of the same program.
+where ``x`` and ``p`` are divided into named blocks of shape ``(items, stages)``. An
+:class:`Instance` holds the data of one solve: the next problem of a receding horizon is a new
+instance of the same program.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Block:
     value
         Starting point of a variable, default of a parameter; zero for rows.
     fixed
-        Only for parameters: the value is data of the program and no instance may change it.
+        Whether a parameter is program data that no instance may change.
     """
 
     name: str
@@ -66,12 +66,12 @@ class Block:
 
     @property
     def slice(self) -> slice:
-        """Where the block lies in its vector."""
+        """Position of the block in its vector."""
         return slice(self.offset, self.offset + self.size)
 
     @cached_property
     def index(self) -> Index:
-        """Position of each entry in its vector; the entries of one stage are neighbours."""
+        """Position of each entry in its vector; the entries of one stage are contiguous."""
         return self.offset + np.arange(self.size, dtype=np.intp).reshape(self.shape, order="F")
 
     def read(self, vector: Array) -> Array:
@@ -79,7 +79,7 @@ class Block:
         return vector[self.slice].reshape(self.shape, order="F")
 
     def spread(self, values: npt.ArrayLike) -> Array:
-        """Broadcast ``values`` to ``(items, stages)``; a vector of length ``items`` is one value per item."""
+        """Broadcast ``values`` to ``(items, stages)``; a vector of length ``items`` gives one per item."""
         array = np.asarray(values, dtype=float)
         if array.shape == (self.items,):
             array = array[:, None]
@@ -87,29 +87,29 @@ class Block:
             array = np.broadcast_to(array, self.shape)
         except ValueError:
             raise ProgramError(
-                f"block {self.name!r} takes values of shape {self.shape} (items, stages), not {array.shape}"
+                f"block {self.name!r}: shape {array.shape}; must broadcast to {self.shape} (items, stages)"
             ) from None
         if np.isnan(array).any():
             item, stage = (int(i) for i in np.argwhere(np.isnan(array))[0])
-            raise ProgramError(f"block {self.name!r}: item {item}, stage {stage} is not a number")
+            raise ProgramError(f"block {self.name!r}, item {item}, stage {stage}: value is not a number")
         return array
 
     def check_order(self, lower: Array, upper: Array) -> None:
-        """Raise :class:`solvers.ProgramError` where a lower bound is above the upper one."""
+        """Raise :class:`solvers.ProgramError` where a lower bound exceeds the upper bound."""
         crossed = np.argwhere(lower > upper)
         if crossed.size:
             item, stage = (int(i) for i in crossed[0])
             raise ProgramError(
-                f"block {self.name!r}, item {item}, stage {stage}: the lower bound "
-                f"{lower[item, stage]:g} is above the upper bound {upper[item, stage]:g}"
+                f"block {self.name!r}, item {item}, stage {stage}: lower bound "
+                f"{lower[item, stage]:g} exceeds upper bound {upper[item, stage]:g}"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class Cone:
-    """A named block of second-order cones: ``shape[0] * shape[1]`` cones of one dimension.
+    """A named block of ``items * stages`` second-order cones of the same dimension.
 
-    Each cone's values ``(t, u_1, ..., u_d)`` must satisfy ``||u||_2 <= t``.
+    The values ``(t, u_1, ..., u_d)`` of each cone must satisfy ``||u||_2 <= t``.
     """
 
     name: str
@@ -125,7 +125,7 @@ class Cone:
 
     @property
     def slice(self) -> slice:
-        """Where the block lies in the vector of cone values."""
+        """Position of the block in the vector of cone values."""
         return slice(self.offset, self.offset + self.size)
 
     @cached_property
@@ -140,14 +140,14 @@ class Cone:
 
 @dataclass(frozen=True, eq=False)
 class Epigraph:
-    """Variables ``t`` that stand for a maximum: ``t - piece >= 0`` in every row of their pieces.
+    """Variables ``t`` that represent a maximum: ``t - piece >= 0`` for each piece.
 
     Attributes
     ----------
     variables
-        Block of the variables.
+        Variable block.
     pieces
-        Blocks of rows.
+        Row blocks, one for each piece.
     """
 
     variables: Block
@@ -156,16 +156,16 @@ class Epigraph:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """One template, placed ``M`` times.
+    """A template placed ``M`` times.
 
     Attributes
     ----------
     variables, parameters
         Positions in ``x`` and ``p``, of shapes ``(n_variables, M)`` and ``(n_parameters, M)``.
     into
-        Positions that the outputs are added to, shape ``(n_outputs, M)``; -1 discards an output.
+        Positions to which the outputs are added, shape ``(n_outputs, M)``; -1 discards an output.
     block
-        Name of the block it belongs to, for messages.
+        Name of the block that the placement belongs to, for messages.
     """
 
     template: Template
@@ -176,13 +176,13 @@ class Placement:
 
     @property
     def count(self) -> int:
-        """Number of places M."""
+        """Number of places ``M``."""
         return int(self.into.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """A named quantity of shape ``(items, stages)`` that is computed from a solution."""
+    """A named quantity of shape ``(items, stages)``, computed from a solution."""
 
     name: str
     items: int
@@ -192,7 +192,7 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """The numbers of one solve. Made by :meth:`Program.instance`."""
+    """Data of one solve. Created by :meth:`Program.instance`."""
 
     parameters: Array
     lower: Array
@@ -204,7 +204,7 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """An optimisation problem over named blocks. Made by :class:`solvers.ProgramBuilder`."""
+    """An optimisation problem over named blocks. Created by :class:`solvers.ProgramBuilder`."""
 
     name: str
     variables: Mapping[str, Block]
@@ -245,13 +245,13 @@ class Program:
 
     @cached_property
     def fixed_parameters(self) -> npt.NDArray[np.bool_]:
-        """Which entries of ``p`` are data that no instance may change."""
+        """Mask of the entries of ``p`` that no instance may change."""
         flags = [np.full(b.size, b.fixed) for b in self.parameters.values()]
         return np.concatenate([*flags, np.zeros(0, dtype=bool)])
 
     @cached_property
     def default(self) -> Instance:
-        """The instance with every block's own bounds, defaults and starting point."""
+        """Instance with the default bounds, values and starting point of each block."""
         return Instance(
             parameters=_join(self.parameters.values(), "value"),
             lower=_join(self.variables.values(), "lower"),
@@ -268,7 +268,7 @@ class Program:
         upper: Numbers | None = None,
         start: Numbers | None = None,
     ) -> Instance:
-        """Numbers for one solve: the defaults, overridden block by block.
+        """Return the data for one solve: the defaults, overridden block by block.
 
         Parameters
         ----------
@@ -282,7 +282,7 @@ class Program:
         Raises
         ------
         ProgramError
-            Unknown block, wrong shape, NaN, or a lower bound above the upper one.
+            Unknown block, wrong shape, NaN, or a lower bound above its upper bound.
         """
         new = {
             key: getattr(self.default, key).copy()
@@ -291,7 +291,7 @@ class Program:
         for name, values in (parameters or {}).items():
             block = self._block(name, self.parameters, "parameter")
             if block.fixed:
-                raise ProgramError(f"parameter {name!r} is part of the program's data; it cannot change")
+                raise ProgramError(f"parameter {name!r}: fixed program data; no instance may change it")
             new["parameters"][block.slice] = block.spread(values).ravel(order="F")
         for side, overrides in (("lower", lower), ("upper", upper)):
             for name, values in (overrides or {}).items():
@@ -312,7 +312,7 @@ class Program:
             return blocks[name]
         except KeyError:
             known = ", ".join(sorted(blocks)) or "none"
-            raise ProgramError(f"no {kind} block is named {name!r}; there are: {known}") from None
+            raise ProgramError(f"unknown {kind} block {name!r}; available: {known}") from None
 
 
 def _check_order(blocks: Iterable[Block], lower: Array, upper: Array) -> None:

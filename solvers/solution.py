@@ -1,4 +1,4 @@
-"""What a back end returned, certified against the program that it was asked to solve."""
+"""The result of a back end, certified against the program."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ __all__ = ["Solution", "Start"]
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A point to start from: primal values and, where known, multipliers.
+    """A starting point: primal values and, where known, multipliers.
 
     Attributes
     ----------
     moved
-        By how many stages the point was moved in time; back ends trust one that was not moved more.
+        Number of stages by which the point was shifted in time; back ends trust an unshifted
+        point more.
     """
 
     x: Array
@@ -35,19 +36,19 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Primal and dual values, why the back end stopped and what the values hold.
+    """Primal and dual values, why the solver stopped and what the status guarantees.
 
     The multipliers belong to the Lagrangian ``f + lam_g' g + lam_x' x - z' s``: those of an
     active upper bound are positive, those of an active lower bound negative, and ``z`` lies in
-    the dual cone. The residuals are recomputed from the program, not taken from the back end.
+    the dual cone. The residuals are recomputed from the program, not taken from the solver.
 
     Attributes
     ----------
     termination, status, message
-        Why it stopped, what the values hold, and the back end's own words.
+        Why the solver stopped, what the status guarantees, and the solver's own message.
     iterations, seconds
-        Effort of the back end; ``seconds`` is wall-clock time of the solve alone. ``iterations``
-        is None where a library between us and the solver does not pass them on.
+        Effort of the solver; ``seconds`` is the wall-clock time of the solve alone. ``iterations``
+        is None where the interface library does not report them.
     """
 
     program: Program
@@ -88,7 +89,7 @@ class Solution:
     def cone_dual(self, name: str) -> Array:
         """Multipliers of a cone block, shape ``(dimension, items, stages)``."""
         if name not in self.program.cones:
-            raise ProgramError(f"no cone block is named {name!r}")
+            raise ProgramError(f"unknown cone block {name!r}")
         return self.program.cones[name].read(self.z)
 
     @cached_property
@@ -98,7 +99,7 @@ class Solution:
     @staticmethod
     def _block(name: str, blocks: Mapping[str, Block]) -> Block:
         if name not in blocks:
-            raise ProgramError(f"no block is named {name!r}; there are: {', '.join(sorted(blocks))}")
+            raise ProgramError(f"unknown block {name!r}; available: {', '.join(sorted(blocks))}")
         return blocks[name]
 
     # Certificate -------------------------------------------------------------------------
@@ -130,7 +131,7 @@ class Solution:
 
     @cached_property
     def dual_residual(self) -> float:
-        """Largest entry of the gradient of the Lagrangian, or largest multiplier of a missing bound."""
+        """Largest dual violation: gradient of the Lagrangian, multipliers of infinite bounds, dual cones."""
         at = self.instance
         slope = self.evaluator.gradient(self.x, at.parameters) + self.lam_x
         if self.lam_g.size:
@@ -148,9 +149,9 @@ class Solution:
 
     @cached_property
     def gap(self) -> float:
-        """Sum of all products of a multiplier and the slack it belongs to.
+        """Sum of the products of all multipliers with their slacks.
 
-        For a convex program this is the difference of primal and dual objective.
+        For a convex program this is the difference between primal and dual objective.
         """
         gap = 0.0
         for (multiplier, lower, upper), value in zip(self._sides(), (self.x, self.rows), strict=True):
@@ -170,15 +171,15 @@ class Solution:
     # Starting the next solve -------------------------------------------------------------
 
     def start(self) -> Start:
-        """This point, to start the same problem again."""
+        """This point as the start of the same problem."""
         return Start(self.x, self.lam_x, self.lam_g, self.z)
 
     def shifted(self, stages: int = 1) -> Start:
-        """This point moved ahead in time: every block drops its first stages.
+        """This point shifted ahead in time: every block drops its first stages.
 
-        The last stage stays in place, and those before it are repeated to fill the gap: a horizon
-        ends in the same way wherever it lies, and the multipliers of its end, where nothing is
-        worth storing, must not be met earlier. Blocks of a single stage stay as they are.
+        The last stage stays in place, and the one before it is repeated to fill the gap: every
+        horizon ends alike, and the multipliers of its end, where stored energy has no value, must
+        not appear earlier. Blocks of a single stage are unchanged.
         """
 
         def shift(vector: Array, blocks: Iterable[Block | Cone]) -> Array:
@@ -201,5 +202,5 @@ class Solution:
 
 
 def _largest(violations: list[Array]) -> float:
-    """The largest of all, at least 0; not a number if one of them is none."""
+    """The largest of all violations, at least 0; NaN if one of them is NaN."""
     return float(np.max([0.0, *(v.max() for v in violations if v.size)]))

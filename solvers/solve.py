@@ -1,4 +1,4 @@
-"""Choosing a back end by name or by what the program needs, and solving."""
+"""Selecting a back end, by name or by the structure of the program, and solving."""
 
 from __future__ import annotations
 
@@ -32,33 +32,33 @@ Options = Mapping[str, Any]
 
 
 class Session(Protocol):
-    """A program made ready by a back end, to be solved any number of times."""
+    """A program prepared by a back end for repeated solves."""
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve for the numbers of ``instance``, from ``start`` if the back end can use it."""
+        """Solve an instance, from ``start`` if the back end supports warm starts."""
         ...
 
 
 class BackEnd(Protocol):
-    """What a back end provides: one class in one file, found through an entry point.
+    """Interface of a back end: one class in one file, registered as an entry point.
 
     Attributes
     ----------
     name
         Name of the back end.
     accepts
-        The most general kind of program that it solves.
+        Most general kind of program that it solves.
     """
 
     name: str
     accepts: Kind
 
     def solvers(self) -> Iterator[str]:
-        """Names of the installed solvers it can call, the default first."""
+        """Names of the installed solvers that it can call, the default first."""
         ...
 
     def prepare(self, program: Program, solver: str, options: Options, verbose: bool) -> Session:
-        """Make ``program`` ready for repeated solves."""
+        """Prepare ``program`` for repeated solves."""
         ...
 
 
@@ -66,14 +66,14 @@ class BackEnd(Protocol):
 def back_ends() -> dict[str, BackEnd]:
     """All back ends that can be loaded, by name, simplest problem class first.
 
-    A third party's back end that fails to load is left out; :func:`broken_back_ends` names it.
+    A third-party back end that fails to load is left out; :func:`broken_back_ends` lists it.
     """
     loaded = {name: end for name, end in _load().items() if not isinstance(end, Exception)}
     return dict(sorted(loaded.items(), key=lambda pair: (pair[1].accepts, pair[0])))
 
 
 def broken_back_ends() -> dict[str, Exception]:
-    """Back ends that could not be loaded or cannot say what they call, and why."""
+    """Back ends that fail to load or to list their solvers, and why."""
     broken = {name: end for name, end in _load().items() if isinstance(end, Exception)}
     for name, end in back_ends().items():
         called = _installed(end)
@@ -83,13 +83,13 @@ def broken_back_ends() -> dict[str, Exception]:
 
 
 def installed(end: BackEnd) -> tuple[str, ...]:
-    """Names of the installed solvers that a back end can call, the default first; none if it is broken."""
+    """Names of the installed solvers that a back end can call, default first; empty if it is broken."""
     called = _installed(end)
     return () if isinstance(called, Exception) else called
 
 
 def rescan() -> None:
-    """Look for back ends again, when one was installed while the program runs."""
+    """Look for back ends again, after one was installed in the running process."""
     _load.cache_clear()
     back_ends.cache_clear()
 
@@ -103,7 +103,7 @@ def _load() -> dict[str, BackEnd | Exception]:
 
 
 def _load_one(point: EntryPoint) -> BackEnd | Exception:
-    """A back end, or why there is none: whatever a third party's module raises is reported, by name."""
+    """A back end, or the reason why it cannot be loaded; any error of its module is reported by name."""
     try:
         end: BackEnd = point.load()()
         name, accepts, ready = end.name, end.accepts, callable(end.solvers) and callable(end.prepare)
@@ -119,25 +119,25 @@ def _load_one(point: EntryPoint) -> BackEnd | Exception:
 def _installed(end: BackEnd) -> tuple[str, ...] | Exception:
     try:
         return tuple(end.solvers())
-    except (Exception, SystemExit) as error:  # reported, by name, like a back end that does not load
-        return UnknownSolverError(f"it cannot name its solvers: {type(error).__name__}: {error}")
+    except (Exception, SystemExit) as error:  # reported by name, like a back end that fails to load
+        return UnknownSolverError(f"cannot list its solvers: {type(error).__name__}: {error}")
 
 
 def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
-    """The back end and solver meant by ``name`` for a program of this kind.
+    """Find the back end and solver that ``name`` refers to, for a program of this kind.
 
     Parameters
     ----------
     name
-        ``"auto"``, a back end (``"ipopt"``, ``"clarabel"``, ``"qp"``), a solver that one of them
-        calls (``"scs"``), or both (``"conic:scs"``).
+        A back end (``"ipopt"``, ``"clarabel"``, ``"qp"``), a solver that one of them calls
+        (``"scs"``), or both (``"conic:scs"``).
     kind
-        Kind of the program, which decides between back ends that call a solver of the same name.
+        Kind of the program, which decides between back ends that offer the same solver.
 
     Raises
     ------
     UnknownSolverError
-        If no back end or solver has this name, or it is not installed.
+        No back end or installed solver has this name.
     """
     ends = back_ends()
     prefix, _, rest = name.partition(":")
@@ -152,12 +152,12 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
         accepting = [end for end in offering if end.accepts >= kind]
         for end in accepting or offering:
             return end, name
-    raise UnknownSolverError(f"there is no solver {name!r} here; {_inventory(ends)}")
+    raise UnknownSolverError(f"no installed solver is named {name!r}; {_inventory(ends)}")
 
 
 def _inventory(ends: Mapping[str, BackEnd]) -> str:
     parts = [f"{end.name} ({', '.join(installed(end)) or 'nothing installed'})" for end in ends.values()]
-    text = f"installed are: {'; '.join(parts) or 'none'}"
+    text = f"available: {'; '.join(parts) or 'none'}"
     broken = broken_back_ends()
     if broken:
         text += "; could not be loaded: " + ", ".join(f"{n} ({e})" for n, e in broken.items())
@@ -170,24 +170,24 @@ def prepare(
     options: Options | None = None,
     verbose: bool = False,
 ) -> Session:
-    """Make a program ready for repeated solves by one back end.
+    """Prepare a program for repeated solves by one back end.
 
     Parameters
     ----------
     solver
-        See :func:`find`; ``"auto"`` chooses by structure.
+        See :func:`find`; ``"auto"`` selects a back end by structure and size.
     options
-        Passed to the solver as they are; they win over this package's defaults.
+        Passed to the solver unchanged; they override this package's defaults.
     verbose
         Whether the solver prints its iterations.
 
     Raises
     ------
     UnknownSolverError
-        No such solver.
+        No back end or installed solver has this name.
     UnsupportedProgramError
-        The back end cannot represent the program, or its quadratic cost is not convex; the message
-        names the blocks. Where parameters enter the Hessian, each solve tests its own instance.
+        The back end cannot represent the program, or the quadratic cost is not convex; the message
+        names the blocks. If parameters enter the Hessian, each solve tests its instance.
     """
     structure = classify(program)
     name = choose(program, structure.kind) if solver == "auto" else solver
@@ -202,9 +202,9 @@ def prepare(
 
 
 class _SecondOpinion:
-    """A session whose failures, where the choice of the back end was ours, another one tries to mend.
+    """A session that falls back to another back end when the automatically selected one fails.
 
-    What the first back end proves or finds stands; only an answer without a result is asked again.
+    Results and proofs of the first back end stand; only a solve without a result is repeated.
     """
 
     def __init__(self, session: Session, other: Callable[[], Session]) -> None:
@@ -216,7 +216,7 @@ class _SecondOpinion:
         return self._prepare()
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve, by the other back end too if the first finds nothing."""
+        """Solve, with the other back end if the first finds nothing."""
         solution = self._session.solve(instance, start)
         if solution.status is not SolutionStatus.NONE or solution.termination in _ENDED_BY_WILL:
             return solution
@@ -231,7 +231,7 @@ class _SecondOpinion:
 
 
 class _ConvexSession:
-    """A session of a convex back end whose program an instance could make non-convex."""
+    """A session of a convex back end for a program that an instance can make non-convex."""
 
     def __init__(self, session: Session, program: Program, end: BackEnd, name: str) -> None:
         self._session = session
@@ -240,7 +240,7 @@ class _ConvexSession:
         self._name = name
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve, if the instance is convex."""
+        """Solve the instance if it is convex."""
         _check_accepted(self._program, classify(self._program, instance), self._end, self._name)
         return self._session.solve(instance, start)
 
@@ -261,7 +261,7 @@ def _check_accepted(program: Program, structure: Structure, end: BackEnd, name: 
     )
 
 
-# What "auto" turns to where the back end that it prefers finds nothing.
+# Fallback of "auto" when the preferred back end finds nothing.
 _LAST_RESORT = "ipopt"
 _ENDED_BY_WILL = (
     TerminationCondition.INTERRUPTED,
@@ -270,14 +270,14 @@ _ENDED_BY_WILL = (
     TerminationCondition.LIMIT,
     TerminationCondition.UNBOUNDED,
 )
-# Up to how many variables "auto" prefers Clarabel, which certifies optima and infeasibility of convex
-# programs, to IPOPT, which is faster on large ones. docs/backends.md has the measurements.
+# Number of variables up to which "auto" prefers Clarabel, which certifies optima and infeasibility of
+# convex programs, to IPOPT, which is faster on large ones; docs/backends.md has the measurements.
 _PREFERRED = "clarabel"
 _MOST_VARIABLES = {Kind.LINEAR: 5_000, Kind.QUADRATIC: 5_000, Kind.CONIC: 20_000, Kind.NONLINEAR: 0}
 
 
 def choose(program: Program, kind: Kind) -> str:
-    """The back end that ``"auto"`` stands for, by kind and size of the program."""
+    """Back end that ``"auto"`` selects for the kind and size of the program."""
     end = back_ends().get(_PREFERRED)
     suits = program.n_variables <= _MOST_VARIABLES[kind]
     return _PREFERRED if suits and end is not None and installed(end) else _LAST_RESORT
@@ -300,6 +300,6 @@ def solve(
     options: Options | None = None,
     verbose: bool = False,
 ) -> Solution:
-    """Solve a program once. For a sequence of instances keep the session of :func:`prepare`."""
+    """Solve a program once. For a sequence of instances, reuse the session of :func:`prepare`."""
     session = prepare(program, solver, options, verbose)
     return session.solve(program.default if instance is None else instance, start)

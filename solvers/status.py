@@ -1,4 +1,4 @@
-"""Why a solver stopped, and what its result is worth: two separate answers."""
+"""Why a solver stopped and what its status guarantees, reported separately."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ __all__ = ["SolutionStatus", "TerminationCondition"]
 
 
 class TerminationCondition(StrEnum):
-    """Why the back end stopped, as it reported it.
+    """Reason why the solver stopped, as it reported it.
 
-    ``LIMIT`` is a limit of iterations, time or something else, where a library between us and the
-    solver does not pass on which. ``ERROR`` is a status that no table of a back end has; the
-    message of the solution holds the solver's own words.
+    ``LIMIT`` is a limit on iterations, time or another resource, where the interface library does
+    not report which. ``ERROR`` is a status that the back end does not recognise; the solution's
+    message holds the solver's own text.
     """
 
     CONVERGED = "converged"
@@ -29,10 +29,10 @@ class TerminationCondition(StrEnum):
 
 
 class SolutionStatus(StrEnum):
-    """What the returned numbers hold.
+    """What the status guarantees about the returned point.
 
-    ``LOCALLY_INFEASIBLE`` says that a local method found a stationary point of the
-    infeasibility; ``PROVEN_INFEASIBLE`` says that a certificate excludes every point.
+    ``LOCALLY_INFEASIBLE``: a local method found a stationary point of the infeasibility.
+    ``PROVEN_INFEASIBLE``: a certificate excludes every point.
     """
 
     GLOBALLY_OPTIMAL = "globally optimal"
@@ -43,10 +43,10 @@ class SolutionStatus(StrEnum):
 
     @property
     def is_optimal(self) -> bool:
-        """Whether the point is an optimum of some kind."""
+        """Whether the point is a global or local optimum."""
         return self in (SolutionStatus.GLOBALLY_OPTIMAL, SolutionStatus.LOCALLY_OPTIMAL)
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether there is no feasible point, at least near the point."""
+        """Whether no point is feasible, at least in the neighbourhood of this one."""
         return self in (SolutionStatus.LOCALLY_INFEASIBLE, SolutionStatus.PROVEN_INFEASIBLE)

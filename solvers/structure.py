@@ -1,4 +1,4 @@
-"""What kind of problem a program is, read off its templates."""
+"""The kind of a program, derived from its templates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Kind", "Structure", "classify", "curvature_varies", "nonconvex_cost"
 
 
 class Kind(IntEnum):
-    """Problem classes, each containing those before it."""
+    """Problem classes, each containing the ones before it."""
 
     LINEAR = 1
     QUADRATIC = 2
@@ -35,14 +35,14 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Structure:
-    """Kind of a program, and the blocks that make it so.
+    """Kind of a program and the blocks responsible for it.
 
     Attributes
     ----------
     culprits
         Names of the blocks without which the program would be of a simpler kind.
     nonconvex
-        Whether it is nonlinear only because the quadratic cost of the culprit is not convex.
+        Whether the program is nonlinear only because the culprit's quadratic cost is not convex.
     """
 
     kind: Kind
@@ -51,9 +51,9 @@ class Structure:
 
 
 def classify(program: Program, instance: Instance | None = None) -> Structure:
-    """Derive the kind of ``program`` from its templates, at an instance or its own numbers.
+    """Derive the kind of ``program`` from its templates, for an instance or the default one.
 
-    The instance matters only where parameters enter the Hessian of a quadratic cost; see
+    The instance matters only if parameters enter the Hessian of a quadratic cost; see
     :func:`curvature_varies`.
     """
     found: dict[Kind, list[str]] = {kind: [] for kind in Kind}
@@ -92,8 +92,8 @@ def curvature_varies(program: Program) -> bool:
 def nonconvex_cost(program: Program, instance: Instance) -> str | None:
     """Name of a quadratic cost that makes the quadratic part of the objective non-convex, or None.
 
-    Each place of each template is tested by itself, on a few variables. Only where one fails is
-    their sum tested, since terms that are not convex alone can be so together.
+    Each place of each template is tested separately, on a few variables. Their sum is tested only
+    if one fails, since the sum of non-convex terms can be convex.
     """
     quadratic = [p for p in program.costs if p.count and p.template.degree == Degree.QUADRATIC]
     for placement in quadratic:
@@ -105,7 +105,7 @@ def nonconvex_cost(program: Program, instance: Instance) -> str | None:
     return None
 
 
-_NEGATIVE = 1e-9  # an eigenvalue this far below zero, relative to the largest entry, is negative
+_NEGATIVE = 1e-9  # an eigenvalue below minus this, relative to the largest entry, counts as negative
 
 
 def _local_hessians(placement: Placement, parameters: Array) -> Iterator[tuple[Index, Array]]:
@@ -137,10 +137,10 @@ def _hessian(size: int, placements: Iterable[Placement], parameters: Array) -> s
 
 
 def _is_positive_semidefinite(matrix: sp.csc_array) -> bool:
-    """Whether a sparse symmetric matrix, lifted by a little, has positive pivots throughout.
+    """Whether all pivots of a sparse symmetric matrix, with a slightly increased diagonal, are positive.
 
-    Elimination without interchanges is stable for a positive definite matrix, and only such a
-    matrix has positive pivots alone.
+    Elimination without interchanges is stable for a positive definite matrix, and only for such a
+    matrix are all pivots positive.
     """
     lift = _NEGATIVE * np.abs(matrix.data).max(initial=1e-12)
     lifted = (matrix + lift * sp.eye_array(matrix.shape[0])).tocsc()

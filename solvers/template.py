@@ -16,7 +16,7 @@ __all__ = ["Degree", "Template"]
 
 
 class Degree(IntEnum):
-    """Degree of a function in its variables, as far as it can be read off its derivatives."""
+    """Degree of a function in its variables, derived from its derivatives."""
 
     CONSTANT = 0
     LINEAR = 1
@@ -27,22 +27,22 @@ class Degree(IntEnum):
 class Template:
     """A vector function of a few local variables and a few local parameters.
 
-    Everything a back end needs, values and first and second derivatives, is derived here
-    once, on a handful of symbols, and then mapped over all the places where the template is used.
+    Values and first and second derivatives are derived here once, on a few symbols, and then
+    mapped over all places where the template is used.
 
     Parameters
     ----------
     name
-        What the template computes; it appears in error messages.
+        What the template computes; used in error messages.
     variables, parameters
-        Column vectors of CasADi ``SX`` symbols: what the outputs depend on.
+        Column vectors of CasADi ``SX`` symbols on which the outputs depend.
     outputs
         Column vector of ``SX`` expressions in those symbols.
 
     Raises
     ------
     ProgramError
-        If the outputs use a symbol that is neither a variable nor a parameter.
+        The outputs use a symbol that is neither a variable nor a parameter.
     """
 
     def __init__(self, name: str, variables: Any, parameters: Any, outputs: Any) -> None:
@@ -54,8 +54,8 @@ class Template:
         stray = [str(s) for s in ca.symvar(self.outputs) if known.is_empty() or not ca.depends_on(known, s)]
         if stray:
             raise ProgramError(
-                f"template {name!r} uses {', '.join(stray)}, "
-                "which are neither its variables nor its parameters"
+                f"template {name!r}: unknown symbols {', '.join(stray)}; "
+                "outputs may use its variables and parameters only"
             )
 
     def __repr__(self) -> str:
@@ -157,7 +157,7 @@ def _degree(gradient: Any, variables: Any) -> Degree:
 
 
 def _slug(name: str) -> str:
-    """A name that CasADi accepts for a function."""
+    """Convert a name to one that CasADi accepts for a function."""
     slug = "".join(c if c.isalnum() else "_" for c in name).strip("_") or "template"
     while "__" in slug:
         slug = slug.replace("__", "_")

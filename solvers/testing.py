@@ -1,10 +1,10 @@
-"""The contract of a back end, with small problems whose answers are known.
+"""Contract checks for back ends, with small problems whose solutions are known.
 
     >>> from solvers.backends.ipopt import Ipopt
     >>> check_back_end(Ipopt())
 
-In the spirit of scikit-learn's ``check_estimator``: nothing happens, or one
-:class:`ContractError` names the rule that is broken.
+In the spirit of scikit-learn's ``check_estimator``: a check passes silently or raises a
+:class:`ContractError` that names the broken rule.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ __all__ = ["Contract", "ContractError", "SmallProblem", "check_back_end", "small
 
 
 class ContractError(AssertionError):
-    """A class breaks a rule of its contract; the message names both."""
+    """A class breaks a rule of its contract; the message names the class and the rule."""
 
 
 @dataclass(frozen=True)
 class Contract:
-    """The rules of one subject; a rule that does not hold is a :class:`ContractError`.
+    """Rules for one subject; a broken rule raises :class:`ContractError`.
 
     Attributes
     ----------
     subject
-        What is checked, for messages: ``objective Economic``.
+        Object under test, for messages: ``objective Economic``.
     """
 
     subject: str
 
     def require(self, holds: object, rule: str, found: str = "") -> None:
-        """Raise unless a rule holds; ``found`` says what was there instead."""
+        """Raise unless the rule ``holds``; ``found`` describes the actual result."""
         if not holds:
             raise ContractError(f"{self.subject} breaks the rule '{rule}'{found and f': {found}'}")
 
     @contextmanager
     def rule(self, rule: str) -> Iterator[None]:
-        """Within this block every exception breaks a rule."""
+        """Report any exception in the block as a broken rule."""
         try:
             yield
         except ContractError:
             raise
-        except Exception as error:  # whatever it is, it breaks the rule
+        except Exception as error:  # any exception breaks the rule
             reason = f"{type(error).__name__}: {error}".partition("\n")[0]
             raise ContractError(f"{self.subject} breaks the rule '{rule}': {reason}") from error
 
@@ -67,14 +67,14 @@ class Contract:
 
 @dataclass(frozen=True)
 class SmallProblem:
-    """A program with its optimum.
+    """A program with a known optimum.
 
     Attributes
     ----------
     primal
-        Optimal values by block of variables, ``(items, stages)``.
+        Optimal values by variable block, ``(items, stages)``.
     dual, bound_dual, cone_dual
-        Multipliers by block of rows, of variables and of cones, signed as in
+        Multipliers by row block, variable block and cone block, signed as in
         :class:`solvers.Solution`.
     """
 
@@ -88,12 +88,12 @@ class SmallProblem:
 
 
 def small_problems() -> list[SmallProblem]:
-    """Problems of every kind, each with a unique optimum and unique multipliers."""
+    """Return problems of every kind, each with a unique optimum and unique multipliers."""
     return [_bounds_only(), _dispatch(), _projection(), _tracking(), _disc(), _hyperbola()]
 
 
 def _bounds_only() -> SmallProblem:
-    """Minimise x - 2 y with 1 <= x, y <= 3 and no rows at all."""
+    """Minimise x - 2 y subject to 1 <= x and y <= 3, without rows."""
     build = ProgramBuilder("bounds only")
     x = build.variable("x", 1, lower=1.0, upper=9.0)
     y = build.variable("y", 1, lower=-9.0, upper=3.0)
@@ -104,7 +104,7 @@ def _bounds_only() -> SmallProblem:
 
 
 def _dispatch() -> SmallProblem:
-    """Two units and a fixed one serve a demand over two stages: equations, ranges, fixed variables."""
+    """Two units and a fixed one serve demand over two stages: equations, ranges, fixed variables."""
     build = ProgramBuilder("dispatch")
     demand = build.parameter("demand", 1, 2, [[8.0, 4.0]])
     power = build.variable("power", 2, 2, 0.0, [5.0, 20.0])
@@ -134,7 +134,7 @@ def _projection() -> SmallProblem:
 
 
 def _tracking() -> SmallProblem:
-    """A state that follows a target and moves at most 1 per stage."""
+    """A state follows a target and rises by at most 1 per stage."""
     build = ProgramBuilder("tracking")
     target = build.parameter("target", 1, 3, [[0.0, 2.0, 2.0]])
     x = build.variable("x", 1, 3)
@@ -144,7 +144,7 @@ def _tracking() -> SmallProblem:
 
 
 def _disc() -> SmallProblem:
-    """The lowest point of x + y on the unit disc."""
+    """Minimise x + y on the unit disc."""
     build = ProgramBuilder("disc")
     x, y = build.variable("x", 1), build.variable("y", 1)
     build.minimize(x + y)
@@ -157,7 +157,7 @@ def _disc() -> SmallProblem:
 
 
 def _hyperbola() -> SmallProblem:
-    """The lowest point of x + y above the hyperbola x y = 4."""
+    """Minimise x + y above the hyperbola x y = 4."""
     build = ProgramBuilder("hyperbola")
     x, y = (build.variable(name, 1, lower=0.1, start=3.0) for name in "xy")
     build.minimize(x + y)
@@ -166,7 +166,7 @@ def _hyperbola() -> SmallProblem:
 
 
 def _impossible() -> Program:
-    """No x between 0 and 1 is above 2."""
+    """Two variables between 0 and 1 must sum to at least 3."""
     build = ProgramBuilder("impossible")
     x = build.variable("x", 2, lower=0.0, upper=1.0)
     build.minimize(x)
@@ -175,7 +175,7 @@ def _impossible() -> Program:
 
 
 def _endless() -> Program:
-    """-x has no least value."""
+    """Minimise -x, which is unbounded."""
     build = ProgramBuilder("endless")
     x = build.variable("x", 1, lower=0.0)
     build.minimize(-x)
@@ -188,14 +188,14 @@ def _endless() -> Program:
 def check_back_end(end: BackEnd, solver: str | None = None, tolerance: float = 1e-4) -> None:
     """Raise :class:`ContractError` unless a back end keeps its contract.
 
-    It names itself, what it accepts and its installed solvers; solves small programs of all kinds
-    that it accepts with the right optimum, multipliers and certificate; takes the numbers of the next
-    instance; reports what cannot be solved by a status; refuses an unknown option.
+    It must state its name, the kind it accepts and its installed solvers; solve small programs of
+    all kinds that it accepts, with the correct optimum, multipliers and certificate; solve further
+    instances; report programs that cannot be solved as a status; and reject an unknown option.
 
     Parameters
     ----------
     solver
-        One of its solvers, the default one if None.
+        One of its solvers; None selects the default.
     tolerance
         Allowed error of values and multipliers.
     """
@@ -211,7 +211,7 @@ def check_back_end(end: BackEnd, solver: str | None = None, tolerance: float = 1
         with rules.rule(f"solves '{problem.name}'"):
             solution = end.prepare(problem.program, solver, {}, False).solve(problem.program.default)
         _check_optimum(rules, problem, solution, tolerance)
-        rules.require(solution.solver in offered, "says which solver it called", repr(solution.solver))
+        rules.require(solution.solver in offered, "reports which solver it called", repr(solution.solver))
     _check_instances(rules, end, solver, tolerance)
     _check_failures(rules, end, solver)
 
@@ -245,7 +245,7 @@ def _check_optimum(rules: Contract, problem: SmallProblem, solution: Solution, t
 
 
 def _check_instances(rules: Contract, end: BackEnd, solver: str, tolerance: float) -> None:
-    """One session solves instance after instance, with other parameters and bounds, cold and warm."""
+    """One session solves successive instances, with other parameters and bounds, cold and warm."""
     program = _dispatch().program
     session = end.prepare(program, solver, {}, False)
     before: Solution | None = None
@@ -261,26 +261,26 @@ def _check_instances(rules: Contract, end: BackEnd, solver: str, tolerance: floa
             found = f"objective {solution.objective:g} is not {objective:g}"
             right = abs(solution.objective - objective) <= tolerance * (1.0 + objective)
             rules.require(solution.status.is_optimal and right, "solves the next instance", found)
-            rules.require(solution.instance is instance, "keeps the instance that it solved")
+            rules.require(solution.instance is instance, "returns the instance that it solved")
         before = solution
 
 
 def _check_failures(rules: Contract, end: BackEnd, solver: str) -> None:
-    """What cannot be solved is a status; what cannot be asked is an error."""
+    """A program that cannot be solved gives a status; an unknown option raises an error."""
     program = _impossible()
-    with rules.rule("reports the infeasible by a status"):
+    with rules.rule("reports infeasibility as a status"):
         solution = end.prepare(program, solver, {}, False).solve(program.default)
     able = (SolutionStatus.LOCALLY_INFEASIBLE, SolutionStatus.PROVEN_INFEASIBLE)
     infeasible = solution.termination is TerminationCondition.INFEASIBLE and solution.status in able
     rules.require(
-        infeasible, "reports the infeasible by a status", f"{solution.termination}, {solution.status}"
+        infeasible, "reports infeasibility as a status", f"{solution.termination}, {solution.status}"
     )
     program = _endless()
-    with rules.rule("reports the unbounded by a status"):
+    with rules.rule("reports unboundedness as a status"):
         solution = end.prepare(program, solver, {}, False).solve(program.default)
     claimed = solution.status is not SolutionStatus.NONE
-    rules.require(not claimed, "reports the unbounded by a status", f"it is {solution.status.value}")
-    rule = "refuses an option that its solver does not have with SolverOptionError"
+    rules.require(not claimed, "reports unboundedness as a status", f"it is {solution.status.value}")
+    rule = "raises SolverOptionError for an unknown option"
     program = _dispatch().program
     try:
         end.prepare(program, solver, {"no_such_option": 1}, False).solve(program.default)

@@ -1,9 +1,9 @@
-"""One thread for the linear algebra inside the bundled solvers.
+"""Single-threaded linear algebra in the bundled solvers.
 
-CasADi's wheel carries its own OpenBLAS, a generic build that is slower on two threads than on
-one for the small dense blocks of a sparse factorisation. The library reads its environment
-variable only when it is loaded, so the number is set through its own interface; a user who has
-set the variable keeps what he chose.
+CasADi's wheel bundles a generic build of OpenBLAS, which is slower on two threads than on one for
+the small dense blocks of a sparse factorisation. The library reads its environment variables only
+when it is loaded, so the number of threads is set through its API. Environment variables set by
+the user take precedence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "GOTO_NUM_THREADS
 
 @cache
 def use_one_blas_thread() -> bool:
-    """Set CasADi's bundled OpenBLAS to one thread, unless the environment says otherwise.
+    """Set CasADi's bundled OpenBLAS to one thread, unless the environment sets the number of threads.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Rewriting programs for back ends, each with the way back for multipliers."""
+"""Reformulation of programs for back ends, with the inverse mapping of multipliers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Smooth", "smooth"]
 
 @dataclass(frozen=True, eq=False)
 class Smooth:
-    """A program whose cones have become smooth rows, and how to return from it.
+    """A program whose cones are stated as smooth rows, and the mapping back to the original.
 
     A cone ``||u|| <= t`` becomes ``t^2 - u'u >= 0`` and, where ``t`` is not constant, ``t >= 0``.
     """
@@ -24,7 +24,7 @@ class Smooth:
     program: Program
 
     def instance(self, instance: Instance) -> Instance:
-        """The same numbers for the smooth program."""
+        """The same instance data for the smooth program."""
         added = self.program.n_rows - self.original.n_rows
         return replace(
             instance,
@@ -33,7 +33,7 @@ class Smooth:
         )
 
     def row_multipliers(self, lam_g: Array, z: Array, s: Array) -> Array:
-        """Multipliers of the smooth rows from those of the cones at cone values ``s``.
+        """Multipliers of the smooth rows, from those of the cones at cone values ``s``.
 
         Where ``t > 0``, ``-z_t / (2 t)`` is the multiplier of ``t^2 - u'u >= 0``.
         """
@@ -46,7 +46,7 @@ class Smooth:
         return np.concatenate(parts)
 
     def cone_multipliers(self, lam_g: Array, s: Array) -> Array:
-        """Cone multipliers ``z`` (in the dual cone) from multipliers of the smooth rows."""
+        """Cone multipliers ``z`` (in the dual cone), from multipliers of the smooth rows."""
         z = np.zeros(self.original.n_cone_values)
         for cone in self.original.cones.values():
             weight = self.program.rows[cone.name].read(lam_g).ravel(order="F")
@@ -59,7 +59,7 @@ class Smooth:
 
 
 def smooth(program: Program) -> Smooth:
-    """State every cone of ``program`` as smooth rows; a program without cones stays as it is."""
+    """State every cone of ``program`` as smooth rows; a program without cones is unchanged."""
     if not program.cones:
         return Smooth(program, program)
     rows = dict(program.rows)

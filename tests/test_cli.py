@@ -175,7 +175,7 @@ def test_list(call: Call) -> None:
         (("solve", "none.yaml"), "none.yaml: there is no such file"),
         (("run", CASE14), "a scenario file ends in .yaml"),
         (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
-        (("solve", CASE14, "--solver", "nosuch"), "there is no solver 'nosuch' here; installed are"),
+        (("solve", CASE14, "--solver", "nosuch"), "solver .*'nosuch'; available: .*ipopt"),
         (("solve", CASE14, "--solver", "qp"), "make it a nonlinear program; back ends that accept it: ipopt"),
         (("solve", CASE14, "--horizon", "0"), "horizon = 0"),
         (("solve", CASE14, "--variant", "x"), "are for scenario files"),
@@ -184,7 +184,7 @@ def test_list(call: Call) -> None:
         (("run", CASE5, "--set", "time.steps=[1"), "--set time.steps:1:1: not YAML"),
         (
             ("run", CASE5, "--set", "controller.solver.options={no_such: 1}"),
-            "ipopt refused its options {'no_such': 1}",
+            "ipopt .*'no_such': 1",
         ),
         (("run", CASE5, "--set", f"x={'[' * 20_000}"), "--set x:1:1001: not YAML"),
         (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), "--set x:1:201: nested too deeply"),

@@ -124,7 +124,7 @@ def test_nothing_is_left_behind(installed: Path) -> None:
         ("device", "stranger", "is not a subclass of opfmodel.model.Device"),
         ("profile", "odd", "cannot be loaded"),
         ("back end", "shy", "strange:Shy is not a back end: name = 'shy', accepts = None"),
-        ("back end", "sick", "it cannot name its solvers: OSError: licence server"),
+        ("back end", "sick", "solvers: OSError: licence server"),
         ("back end", "gone", "its module exits: bye"),
     ],
 )
@@ -168,9 +168,7 @@ def test_using_a_broken_plugin_says_what_is_wrong(broken: Path, tmp_path: Path) 
         ):
             om.load_scenario(path)
         path.write_text(MINIMAL + "controller: {solver: sick}\n")
-        with pytest.raises(
-            ScenarioError, match=r"no solver 'sick' here; .*could not be loaded: .*sick .*licence"
-        ):
+        with pytest.raises(ScenarioError, match=r"solver .*'sick'; .*could not be loaded: .*sick .*licence"):
             om.load_scenario(path)
 
 

@@ -130,7 +130,7 @@ def test_why_there_is_no_answer(label: str, name: str) -> None:
     assert not solution.status.is_optimal
     if label == "qp:highs":  # qpsolvers passes on neither its status nor a certificate
         assert solution.termination is TerminationCondition.ERROR
-        assert "passes on no reason" in solution.message
+        assert "no reason" in solution.message
     elif label == "ipopt:ipopt":  # has no certificates, and need not notice that a cost falls for ever
         assert solution.termination in (case.without, TerminationCondition.ITERATION_LIMIT)
         local = solution.termination is TerminationCondition.INFEASIBLE
@@ -271,7 +271,7 @@ def test_cones_and_curves_are_refused_with_their_names() -> None:
 def test_a_solver_that_is_not_installed_is_refused_with_what_is(name: str) -> None:
     with pytest.raises(solvers.UnknownSolverError) as error:
         solvers.prepare(built("box").program, name)
-    assert f"there is no solver {name!r} here; installed are: " in str(error.value)
+    assert f"{name!r}; available: " in str(error.value)
     for end in ("clarabel (clarabel)", "osqp (osqp)", "qp (clarabel", "conic (clarabel", "ipopt (ipopt"):
         assert end in str(error.value)
 
@@ -304,7 +304,7 @@ def test_a_point_that_is_not_optimal_is_not_called_so() -> None:
     assert solution.status.is_optimal == right
     if not right:
         assert solution.termination is TerminationCondition.NUMERICAL_FAILURE
-        assert "but its residuals are" in solution.message
+        assert "residual" in solution.message
 
 
 @pytest.mark.parametrize("solver", ["osqp", "scs"])
@@ -321,7 +321,7 @@ def test_loose_tolerances_are_called_acceptable_or_nothing(solver: str) -> None:
     program = build.build()
     solution = solvers.solve(program, f"qp:{solver}", options=loose)
     assert solution.termination is not TerminationCondition.CONVERGED
-    assert "residuals are" in solution.message
+    assert "residual" in solution.message
     exact = solvers.solve(program, "qp:clarabel")
     assert exact.termination is TerminationCondition.CONVERGED
     assert abs(solution.objective / exact.objective - 1) > 1e-6

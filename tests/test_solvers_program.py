@@ -157,7 +157,7 @@ def test_the_largest_of_totals_has_one_value_per_stage(a: np.ndarray) -> None:
     expected = largest(0.0, total(a) - 4.0, 3.0 - total(a))
     assert expected.shape == (4,)
     assert solvers.solve(build.build()).objective == pytest.approx(2.0 * expected.sum(), abs=1e-6)
-    with pytest.raises(ProgramError, match="a sum has one value per stage; it does not combine with 3 items"):
+    with pytest.raises(ProgramError, match=r"one value per stage.* 3 items"):
         largest(x, total(x))
 
 
@@ -243,12 +243,12 @@ def test_instances_change_numbers_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda p: p.instance({"nope": 1.0}), "no parameter block is named 'nope'; there are: d"),
-        (lambda p: p.instance({"d": np.ones((5, 5))}), r"takes values of shape \(2, 3\)"),
-        (lambda p: p.instance({"d": np.nan}), "block 'd': item 0, stage 0 is not a number"),
+        (lambda p: p.instance({"nope": 1.0}), "parameter block 'nope'.*: d$"),
+        (lambda p: p.instance({"d": np.ones((5, 5))}), r"block 'd'.*\(5, 5\).*\(2, 3\)"),
+        (lambda p: p.instance({"d": np.nan}), "block 'd', item 0, stage 0: .*not a number"),
         (
             lambda p: p.instance(lower={"x": 2.0}),
-            "item 0, stage 0: the lower bound 2 is above the upper bound 1",
+            "item 0, stage 0: lower bound 2 .* upper bound 1",
         ),
     ],
 )
@@ -274,10 +274,10 @@ def test_bad_numbers_are_named(call, message: str) -> None:
         (np.add.reduce, "numpy.add.reduce .* total, .*tanh"),
         (lambda x: np.clip(x, 0.0, 1.0), "numpy.clip .*largest"),
         (lambda x: np.where(np.ones((2, 1)) > 0, x, 0.0), "numpy.where"),
-        (lambda x: np.sin(x, where=np.ones((2, 1), dtype=bool)), "numpy.sin takes no where"),
+        (lambda x: np.sin(x, where=np.ones((2, 1), dtype=bool)), "numpy.sin .*where"),
         (lambda x: np.ones(2) < x, "cannot be strict"),
-        (lambda x: np.exp(total(x)), "numpy.exp does not act on sums"),
-        (lambda x: np.multiply(x, total(x)), "numpy.multiply does not act on sums"),
+        (lambda x: np.exp(total(x)), "numpy.exp .*sums"),
+        (lambda x: np.multiply(x, total(x)), "numpy.multiply .*sums"),
         (lambda x: np.sum(total(x)), "numpy.sum"),
     ],
 )
@@ -309,15 +309,15 @@ def test_misuse_of_expressions_is_refused() -> None:
     x, y = build.variable("x", 2), other.variable("y", 2)
     with pytest.raises(ProgramError, match="two different programs"):
         x + y
-    with pytest.raises(ProgramError, match="do not combine"):
+    with pytest.raises(ProgramError, match=r"\(2, 1\) and \(3, 1\)"):
         x + np.ones(3)
     with pytest.raises(ProgramError, match="already"):
         build.rows("x", 1)
     with pytest.raises(ProgramError, match="no truth value"):
         bool(x <= 1.0)
-    with pytest.raises(ProgramError, match="numbers only"):
+    with pytest.raises(ProgramError, match="multiplied by numbers"):
         total(x) * total(x)
     with pytest.raises(ProgramError, match="power"):
         total(x) ** 2
-    with pytest.raises(ProgramError, match="lower bound 1 is above"):
+    with pytest.raises(ProgramError, match=r"'z'.* lower bound 1 .* upper bound 0"):
         build.variable("z", 1, lower=1.0, upper=0.0)

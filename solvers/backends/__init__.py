@@ -1,1 +1,1 @@
-"""Back ends, one file each: what they accept, options, status map, solve, multipliers."""
+"""Back ends, one file each: accepted programs, options, status map, solve, multipliers."""

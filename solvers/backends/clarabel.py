@@ -58,10 +58,10 @@ class Clarabel:
 
 
 class ClarabelSession:
-    """A program as matrices, stated to Clarabel anew for every instance.
+    """A program as matrices, passed to a new Clarabel solver for every instance.
 
-    Measured on DC problems of 48 stages: to update the vectors of one solver instead saves 2 of 13 ms
-    with 5 buses and nothing with 118, and ties an instance to the equilibration of the first.
+    Updating the vectors of one solver instead saves 2 of 13 ms on DC problems with 48 stages and
+    5 buses and nothing with 118 buses, and ties every instance to the equilibration of the first.
     """
 
     def __init__(self, program: Program, options: Mapping[str, Any], verbose: bool) -> None:
@@ -70,7 +70,7 @@ class ClarabelSession:
         self._settings = _settings(options, verbose)
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:  # noqa: ARG002
-        """Solve; Clarabel has no use for a start."""
+        """Solve an instance; Clarabel ignores the start."""
         matrices = self._maker.at(instance)
         began = time.perf_counter()
         stated = _Stated(matrices, self._evaluator.program.cones.values())
@@ -97,11 +97,11 @@ class ClarabelSession:
 
 
 class _Stated:
-    """A program in Clarabel's form, and the way back for its multipliers.
+    """A program in Clarabel's form, with the inverse mapping of multipliers.
 
     ``minimise x' p x / 2 + q' x`` such that ``b - a x`` lies in a product of cones: zero for
-    equations, nonnegative for inequalities, and those of second order. Every row is one of
-    ``(a; I; s)`` of the program, with the opposite sign if it is bounded from below or belongs to a cone.
+    equations, nonnegative for inequalities, and second-order cones. Every row is one of ``(a; I; s)``
+    of the program, with its sign reversed if it is bounded from below or belongs to a cone.
     """
 
     def __init__(self, m: Matrices, cones: Iterable[Cone]) -> None:
@@ -122,20 +122,20 @@ class _Stated:
             clarabel.NonnegativeConeT(above.size + below.size),
             *(clarabel.SecondOrderConeT(c.dimension) for c in cones for _ in range(c.items * c.stages)),
         ]
-        # Measured on SOC relaxations: all of 14 PGLib cases are solved, in 267 iterations; divided by the
-        # largest slope instead, seven stop short of their tolerance. Undivided, all are solved too, but two
-        # of four elastic problems end without a result. DC problems, elastic or not, are best undivided.
+        # Measured on SOC relaxations: with this scale all 14 PGLib cases are solved, in 267 iterations;
+        # divided by the largest slope, seven stop short of their tolerance. Unscaled, all are solved too, but
+        # two of four elastic problems end without a result. DC problems, elastic or not, are best unscaled.
         self._scale = m.cost_scale if m.s0.size else 1.0
         self._p, self._q = sp.triu(m.p, format="csc") / self._scale, m.q / self._scale
 
     def solve(self, settings: Any) -> Any:
-        """Clarabel's own solution."""
+        """Return Clarabel's solution."""
         import clarabel
 
         return clarabel.DefaultSolver(self._p, self._q, self._a, self._b, self._cones, settings).solve()
 
     def multipliers(self, found: Array) -> tuple[Array, Array, Array]:
-        """``(lam_x, lam_g, z)`` of the program from the multipliers of the rows."""
+        """``(lam_x, lam_g, z)`` of the program, from the multipliers of the rows."""
         signed = np.zeros(sum(self._sizes))
         np.add.at(signed, self._rows, self._scale * self._signs * found)
         lam_g, lam_x, z = np.split(signed, np.cumsum(self._sizes)[:-1])
@@ -143,7 +143,7 @@ class _Stated:
 
 
 def _settings(options: Mapping[str, Any], verbose: bool) -> Any:
-    """Clarabel's settings, tried on a program of nothing: some values are refused only there."""
+    """Clarabel's settings, tried on an empty program because some values are rejected only there."""
     import clarabel
 
     settings, nothing = clarabel.DefaultSettings(), sp.csc_array((0, 0))
@@ -152,6 +152,6 @@ def _settings(options: Mapping[str, Any], verbose: bool) -> Any:
         for name, value in options.items():
             setattr(settings, name, value)
         clarabel.DefaultSolver(nothing, np.zeros(0), nothing, np.zeros(0), [], settings)
-    except Exception as error:  # Clarabel has no class of its own, and nothing but the options can be wrong
-        raise SolverOptionError(f"clarabel refused its options {options}: {error}") from error
+    except Exception as error:  # Clarabel has no exception class, and only the options can be wrong
+        raise SolverOptionError(f"clarabel rejected options {options}: {error}") from error
     return settings

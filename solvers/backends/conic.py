@@ -1,4 +1,4 @@
-"""Second-order cone programs through CVXPY, stated in matrices."""
+"""Second-order cone programs through CVXPY, in matrix form."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ __all__ = ["Conic"]
 
 _PREFERRED = ("clarabel", "mosek", "ecos", "scs")
 _DEFAULTS: dict[str, dict[str, Any]] = {
-    # Measured on twenty DC and SOC problems: SCS's own acceleration never comes to an end on two of them,
-    # without it and with this scale all are solved, in 50 to 4,000 iterations.
+    # Measured on twenty DC and SOC problems: with its acceleration SCS never terminates on two of them;
+    # without it and with this scale it solves all, in 50 to 4,000 iterations.
     "scs": {
         "eps_abs": 1e-7,
         "eps_rel": 1e-7,
@@ -34,7 +34,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
         "acceleration_lookback": 0,
     },
 }
-# Statuses of CVXPY, which are the same for all solvers.
+# CVXPY uses the same statuses for all solvers.
 _TERMINATION = {
     "optimal": TerminationCondition.CONVERGED,
     "optimal_inaccurate": TerminationCondition.ACCEPTABLE,
@@ -44,7 +44,7 @@ _TERMINATION = {
     "unbounded_inaccurate": TerminationCondition.UNBOUNDED,
     "user_limit": TerminationCondition.LIMIT,
 }
-# What CVXPY lumps together as a limit or an error: where the solver's own status is, and what it means.
+# CVXPY merges several statuses into a limit or an error; the solver's own status tells them apart.
 _OWN: dict[str, tuple[Callable[[Any], int], dict[int, TerminationCondition]]] = {
     "scs": (
         lambda found: int(found["info"]["status_val"]),
@@ -78,7 +78,7 @@ class Conic:
     accepts = Kind.CONIC
 
     def solvers(self) -> Iterator[str]:
-        """What CVXPY finds installed and can solve cone programs, the most robust first."""
+        """Installed solvers that CVXPY can use for cone programs, the most robust first."""
         import cvxpy as cp
         from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
@@ -88,14 +88,14 @@ class Conic:
         yield from (name for name in able if name not in _PREFERRED)
 
     def prepare(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> Session:
-        """Fold the program into matrices, here or in the solver's own back end."""
+        """Fold the program into matrices, here or in the solver's dedicated back end."""
         if solver == Clarabel.name:
             return Clarabel().prepare(program, solver, options, verbose)
         return ConicSession(program, solver, options, verbose)
 
 
 class ConicSession:
-    """A program as matrices, stated to CVXPY without a loop over buses or stages."""
+    """A program as matrices, passed to CVXPY without a loop over buses or stages."""
 
     def __init__(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> None:
         self._program = program
@@ -107,23 +107,23 @@ class ConicSession:
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:  # noqa: ARG002
-        """Solve; CVXPY has no use for a start.
+        """Solve an instance; the start is not passed to CVXPY.
 
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C, where the solver takes it for itself.
+            Ctrl-C, if the solver catches it itself.
         """
         stated = _Stated(self._program, self._maker.at(instance))
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the status says it
+                warnings.simplefilter("ignore")  # the status reports the same
                 termination, message = self._call(stated.problem)
         except (TypeError, AttributeError, ValueError) as error:
             if not self._given:
                 raise
-            raise SolverOptionError(f"{self._solver} refused its options {self._given}: {error}") from error
+            raise SolverOptionError(f"{self._solver} rejected options {self._given}: {error}") from error
         seconds = time.perf_counter() - began
         if termination is TerminationCondition.INTERRUPTED:
             raise KeyboardInterrupt
@@ -148,7 +148,7 @@ class ConicSession:
         )
 
     def _call(self, problem: Any) -> tuple[TerminationCondition, str]:
-        """What ``problem.solve`` does, with a look at the solver's own result on the way."""
+        """Do what ``problem.solve`` does, and also read the solver's own status."""
         import cvxpy as cp
 
         own = None
@@ -166,7 +166,7 @@ class ConicSession:
 
 
 class _Stated:
-    """A CVXPY problem made of matrices, and the way back for its values."""
+    """A CVXPY problem made of matrices, with the inverse mapping of its values."""
 
     def __init__(self, program: Program, m: Matrices) -> None:
         import cvxpy as cp
@@ -174,8 +174,8 @@ class _Stated:
         self._program = program
         self._form: StandardForm = standard_form(m)
         form = self._form
-        # Slopes in $ per p.u. are thousands. Measured on the SOC relaxations of 14 PGLib cases: undivided,
-        # SCS needs up to fifty times the iterations.
+        # Slopes in $ per p.u. are in the thousands. Measured on the SOC relaxations of 14 PGLib cases:
+        # without scaling, SCS needs up to fifty times the iterations.
         self._scale = m.cost_scale
         self._x = x = cp.Variable(m.q.size)
         cost = (m.q / self._scale) @ x
@@ -197,7 +197,7 @@ class _Stated:
         self.problem = cp.Problem(cp.Minimize(cost), [*(c for c in linear if c is not None), *self._cones])
 
     def values(self) -> tuple[Array, Array, Array, Array]:
-        """Values and multipliers ``(x, lam_x, lam_g, z)`` of the program, zero where there are none."""
+        """Values and multipliers ``(x, lam_x, lam_g, z)`` of the program, zero where missing."""
         form = self._form
         x = _dense(self._x.value, form.q.size)
         z_box = np.zeros(form.q.size)

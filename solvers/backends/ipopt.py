@@ -1,4 +1,4 @@
-"""IPOPT, or another ``nlpsol`` plugin, through CasADi: any program."""
+"""Programs of any kind through CasADi: IPOPT or another ``nlpsol`` plugin."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _COLD: dict[str, Any] = {
     "mumps_pivot_order": 5,  # METIS
     "mumps_scaling": 0,
     "mumps_permuting_scaling": 0,
-    "mumps_mem_percent": 5,  # the default is ten times what is needed; clearing it takes time
+    "mumps_mem_percent": 5,  # the default allocates ten times what is needed; clearing it takes time
     "min_refinement_steps": 0,
 }
-# Coupling in time makes the starting point a better one than a lone stage has.
+# With coupling in time the starting point is better than that of a single stage.
 _COLD_IN_TIME: dict[str, Any] = {"mu_init": 1e-2}
-# Without scaling, rows of cones make MUMPS delay pivots until the factors are nearly dense.
+# Without scaling, cone rows make MUMPS delay pivots until the factors are nearly dense.
 _WITH_CONES: dict[str, Any] = {"mumps_scaling": 77}
 _PUSHES = (
     "warm_start_bound_push",
@@ -48,10 +48,10 @@ def _warm(push: float) -> dict[str, Any]:
     return _COLD | {"warm_start_init_point": "yes", "mu_init": 1e-7} | dict.fromkeys(_PUSHES, push)
 
 
-# The same problem again starts at its solution. One that moved in time has other active limits, and from
-# a point that is as close to the old ones IPOPT takes tiny steps; docs/warm-start.md has the figures.
+# Re-solving the same problem starts at its solution. A problem shifted in time has other active limits;
+# from a point that close to the old ones IPOPT takes tiny steps. docs/warm-start.md has the figures.
 _OPTIONS = {"cold": _COLD, "again": _warm(1e-6), "moved": _warm(1e-2)}
-# Plugins that take their own options in a dictionary of their own name.
+# Plugins that take their options in a dictionary named after the plugin.
 _NESTED = ("ipopt", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp", "fatrop", "conopt")
 
 _TERMINATION = {
@@ -71,7 +71,7 @@ _TERMINATION = {
     "Invalid_Problem_Definition": TerminationCondition.INVALID_PROGRAM,
     "Invalid_Number_Detected": TerminationCondition.INVALID_PROGRAM,
 }
-# What CasADi makes of the statuses of all plugins.
+# CasADi's unified statuses for all plugins.
 _UNIFIED = {
     "SOLVER_RET_SUCCESS": TerminationCondition.CONVERGED,
     "SOLVER_RET_LIMITED": TerminationCondition.LIMIT,
@@ -81,19 +81,19 @@ _UNIFIED = {
 
 
 class Ipopt:
-    """IPOPT with the MUMPS of CasADi's wheel; ``ipopt:NAME`` is any other ``nlpsol`` plugin."""
+    """IPOPT with MUMPS from CasADi's wheel; ``ipopt:NAME`` selects any other ``nlpsol`` plugin."""
 
     name = "ipopt"
     accepts = Kind.NONLINEAR
 
     def solvers(self) -> Iterator[str]:
-        """IPOPT first, then the other plugins whose libraries load."""
+        """IPOPT, then the other plugins whose libraries load."""
         yield "ipopt"
         others = ("sqpmethod", "fatrop", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
         yield from (name for name in others if ca.has_nlpsol(name))
 
     def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> IpoptSession:
-        """Assemble the functions of ``program``; the solver itself is made at the first solve."""
+        """Assemble the functions of ``program`` and create the solver for cold starts."""
         return IpoptSession(program, solver, options, verbose)
 
 
@@ -116,14 +116,14 @@ class IpoptSession:
         self._solver("cold")
 
     def _solver(self, situation: str) -> Any:
-        """The plugin with the options for a situation; all share the same functions."""
+        """Solver with the options for a situation; all solvers share the same functions."""
         if situation not in self._solvers:
             functions = {
                 "grad_f": self._assembly.gradient,
                 "jac_g": self._assembly.jacobian,
                 "hess_lag": self._assembly.hessian,
             }
-            # the plugins that do not take all three want them in other forms, and derive their own
+            # plugins that do not take all three need them in other forms, and derive their own
             given = functions if set(functions) <= set(ca.nlpsol_options(self._plugin)) else {}
             try:
                 self._solvers[situation] = ca.nlpsol(
@@ -131,7 +131,7 @@ class IpoptSession:
                 )
             except RuntimeError as error:
                 raise SolverOptionError(
-                    f"{self._plugin} refused its options {self._options or '(defaults)'}: {_reason(error)}"
+                    f"{self._plugin} rejected options {self._options or '(defaults)'}: {_reason(error)}"
                 ) from error
         return self._solvers[situation]
 
@@ -153,7 +153,7 @@ class IpoptSession:
         return general | {"ipopt": options | printing | self._options}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve; with the multipliers of an earlier solution the start is a warm one."""
+        """Solve an instance; a start that includes multipliers is a warm start."""
         at = self._smooth.instance(instance)
         situation = "cold"
         arguments: dict[str, Any] = {
@@ -201,7 +201,7 @@ class IpoptSession:
             unified = str(stats.get("unified_return_status"))
             termination = _UNIFIED.get(unified, TerminationCondition.ERROR)
         if message == "Invalid_Option":
-            raise SolverOptionError(f"{self._plugin} does not accept the options {self._options}")
+            raise SolverOptionError(f"{self._plugin} rejected options {self._options}")
         return Solution(
             program=program,
             evaluator=self._evaluator,
@@ -234,7 +234,7 @@ def _vector(value: Any) -> Array:
 
 
 def _reason(error: Exception) -> str:
-    """The line of CasADi's message that says what is wrong, without its place in CasADi's source."""
+    """The line of CasADi's message that states the fault, without its location in CasADi's source."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if "option:" in line.lower()] or lines[-1:]
     return (

@@ -1,4 +1,4 @@
-"""OSQP, called directly: linear and convex quadratic programs, from a primal and dual start."""
+"""OSQP, called directly: linear and convex quadratic programs, with primal and dual warm starts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _TERMINATION = {
     "OSQP_MAX_ITER_REACHED": TerminationCondition.ITERATION_LIMIT,
     "OSQP_TIME_LIMIT_REACHED": TerminationCondition.TIME_LIMIT,
     "OSQP_NON_CVX": TerminationCondition.INVALID_PROGRAM,
-    "OSQP_NONCVX_ERROR": TerminationCondition.INVALID_PROGRAM,  # found when it is set up
+    "OSQP_NONCVX_ERROR": TerminationCondition.INVALID_PROGRAM,  # detected during setup
     "OSQP_SIGINT": TerminationCondition.INTERRUPTED,
 }
 
@@ -58,13 +58,13 @@ class OSQP:
         options: Mapping[str, Any],
         verbose: bool,
     ) -> OSQPSession:
-        """Fold the program into matrices; OSQP itself is set up for the first instance."""
+        """Fold the program into matrices; OSQP is set up at the first instance."""
         return OSQPSession(program, options, verbose)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What OSQP returned; of an infeasible program the certificate for multipliers."""
+    """Result of OSQP; for an infeasible program the certificate replaces the multipliers."""
 
     status: str
     message: str
@@ -74,7 +74,7 @@ class _Found:
 
 
 class OSQPSession:
-    """A program as matrices, set up once; the next instance changes vectors, and values where it must."""
+    """A program as matrices, set up once; instances update vectors, and matrix values if necessary."""
 
     def __init__(self, program: Program, options: Mapping[str, Any], verbose: bool) -> None:
         self._evaluator = Evaluator(program)
@@ -90,7 +90,7 @@ class OSQPSession:
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C, which OSQP takes for itself.
+            Ctrl-C, which OSQP catches itself.
         """
         matrices = self._maker.at(instance)
         began = time.perf_counter()
@@ -138,7 +138,7 @@ class OSQPSession:
         )
 
     def _state(self, m: Matrices) -> None:
-        """State ``minimise x' p x / 2 + q' x`` subject to ``lower <= (a; I) x <= upper`` to OSQP."""
+        """State ``minimise x' p x / 2 + q' x`` subject to ``lower <= (a; I) x <= upper``."""
         import osqp
 
         stated, (lower, upper) = self._stated, m.limits
@@ -153,24 +153,24 @@ class OSQPSession:
                 self._stated, self._solver = None, osqp.OSQP()
                 self._solver.setup(p, m.q, a, lower, upper, **self._options)
                 self._stated = p, a
-        if self._adapted:  # the step size that suited the last instance at its end does not suit a beginning
+        if self._adapted:  # the step size reached at the end of one solve does not suit the next
             self._solver.update_settings(rho=self._solver.settings.rho)
 
 
 def _matrix(matrix: sp.csc_array) -> sp.csc_matrix:
-    """The class that OSQP takes, with the entries in its order."""
+    """Convert to the class that OSQP takes, with sorted entries."""
     made = sp.csc_matrix(matrix)
     made.sort_indices()
     return made
 
 
 def _same_places(one: sp.csc_matrix, other: sp.csc_matrix) -> bool:
-    """Whether the entries of two matrices stand in the same places."""
+    """Whether two matrices have the same sparsity pattern."""
     return np.array_equal(one.indptr, other.indptr) and np.array_equal(one.indices, other.indices)
 
 
 def _point(start: Start | None, instance: Instance) -> tuple[Array, Array]:
-    """Values and multipliers to start from, zero where there are none."""
+    """Values and multipliers to start from, zero where missing."""
     x, rows = np.zeros(instance.lower.size), np.zeros(instance.row_lower.size)
     if start is None:
         return x, np.concatenate([rows, x])
@@ -179,14 +179,14 @@ def _point(start: Start | None, instance: Instance) -> tuple[Array, Array]:
 
 
 def _checked(options: dict[str, Any]) -> dict[str, Any]:
-    """The options, if OSQP accepts them for a program of one variable."""
+    """Return the options if OSQP accepts them for a program of one variable."""
     import osqp
 
     one, zero, printed = sp.csc_matrix([[1.0]]), np.zeros(1), io.StringIO()
     try:
         with redirect_stdout(printed):
             osqp.OSQP().setup(one, zero, one, zero, zero, **options | {"verbose": False})
-    except Exception as error:  # it has several classes for it, and nothing but the options can be wrong
+    except Exception as error:  # OSQP raises several classes, and only the options can be wrong
         reason = (printed.getvalue() or str(error)).partition("\n")[0]
-        raise SolverOptionError(f"osqp refused its options {options}: {reason}") from error
+        raise SolverOptionError(f"osqp rejected options {options}: {reason}") from error
     return options

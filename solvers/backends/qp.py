@@ -1,4 +1,4 @@
-"""Quadratic programs through qpsolvers: PIQP, HiGHS, SCS, and whatever else is installed."""
+"""Quadratic programs through qpsolvers: PIQP, HiGHS, SCS and any other installed solver."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from solvers.structure import Kind
 __all__ = ["QP"]
 
 _PREFERRED = ("clarabel", "piqp", "osqp", "highs", "scs")
-# These have back ends of their own.
+# These have dedicated back ends.
 _DIRECT: dict[str, BackEnd] = {"clarabel": Clarabel(), "osqp": OSQP()}
 
 
 @dataclass(frozen=True)
 class _Report:
-    """Why a solver stopped: its own code and words, and its iterations."""
+    """Why a solver stopped: its own code and message, and its iterations."""
 
     status: int | str | None
     words: str
@@ -40,8 +40,8 @@ class _Report:
 
 
 def _report(found: Any) -> _Report:
-    """The report of a solver of which qpsolvers passes on nothing else."""
-    words = "solved" if found.found else "not solved; qpsolvers passes on no reason"
+    """Report of a solver of which qpsolvers returns nothing but success or failure."""
+    words = "solved" if found.found else "not solved; qpsolvers reports no reason"
     return _Report(None, words, None)
 
 
@@ -57,9 +57,9 @@ def _report_of_scs(found: Any) -> _Report:
 
 @dataclass(frozen=True)
 class _Known:
-    """Our defaults for a solver, how to read its report, and what its codes mean.
+    """Default options of a solver, how to read its report, and what its codes mean.
 
-    Codes of an optimum are missing: qpsolvers says whether one was found.
+    Codes for an optimum are left out because qpsolvers reports whether one was found.
     """
 
     defaults: Mapping[str, Any] = field(default_factory=dict)
@@ -82,7 +82,7 @@ _KNOWN = {
         {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iters": 50_000},
         _report_of_scs,
         {
-            2: TerminationCondition.ACCEPTABLE,  # inaccurate: at a limit, but nearly there
+            2: TerminationCondition.ACCEPTABLE,  # inaccurate: stopped at a limit close to convergence
             -1: TerminationCondition.UNBOUNDED,
             -2: TerminationCondition.INFEASIBLE,
             -3: TerminationCondition.NUMERICAL_FAILURE,  # indeterminate
@@ -91,7 +91,7 @@ _KNOWN = {
             -7: TerminationCondition.INFEASIBLE,  # inaccurate
         },
     ),
-    # By default 1e-7, which moves the optimum; with none it calls points optimal that are not.
+    # The default of 1e-7 moves the optimum; with zero, HiGHS reports points as optimal that are not.
     "highs": _Known({"qp_regularization_value": 1e-9}),
 }
 
@@ -103,7 +103,7 @@ class QP:
     accepts = Kind.QUADRATIC
 
     def solvers(self) -> Iterator[str]:
-        """What qpsolvers finds installed, the most robust first."""
+        """Installed solvers that qpsolvers can call, the most robust first."""
         import qpsolvers
 
         known = qpsolvers.sparse_solvers
@@ -111,14 +111,14 @@ class QP:
         yield from (name for name in known if name not in _PREFERRED)
 
     def prepare(self, program: Program, solver: str, options: Mapping[str, Any], verbose: bool) -> Session:
-        """Fold the program into matrices, here or in the solver's own back end."""
+        """Fold the program into matrices, here or in the solver's dedicated back end."""
         if solver in _DIRECT:
             return _DIRECT[solver].prepare(program, solver, options, verbose)
         return QPSession(program, solver, dict(options), verbose)
 
 
 class QPSession:
-    """A program as matrices, of which the next instance changes vectors only."""
+    """A program as matrices, of which a new instance changes only the vectors."""
 
     def __init__(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> None:
         self._evaluator = Evaluator(program)
@@ -130,12 +130,12 @@ class QPSession:
         self._verbose = verbose
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve; of the start, qpsolvers hands on the values alone, and SCS alone of these uses them.
+        """Solve, from the values of ``start`` if the solver uses them; of PIQP, HiGHS and SCS only SCS does.
 
         Raises
         ------
         KeyboardInterrupt
-            Ctrl-C, where the solver takes it for itself.
+            Ctrl-C, if the solver catches it itself.
         """
         import qpsolvers
 
@@ -153,7 +153,7 @@ class QPSession:
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the status says it
+                warnings.simplefilter("ignore")  # the status reports the same
                 found = qpsolvers.solve_problem(
                     problem,
                     self._solver,
@@ -164,7 +164,7 @@ class QPSession:
         except (TypeError, AttributeError, ValueError, qpsolvers.exceptions.ParamError) as error:
             if not self._given:
                 raise
-            raise SolverOptionError(f"{self._solver} refused its options {self._given}: {error}") from error
+            raise SolverOptionError(f"{self._solver} rejected options {self._given}: {error}") from error
         except qpsolvers.exceptions.QPError as error:
             found, report = qpsolvers.Solution(problem, found=False), _Report(None, str(error), None)
         else:
@@ -200,7 +200,7 @@ class QPSession:
 
 
 def _checked(solver: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options as the solver takes them; those that qpsolvers would drop in silence are refused here."""
+    """Options as the solver takes them; those that qpsolvers would silently drop are rejected here."""
     if solver == "piqp":
         import piqp
 
@@ -219,17 +219,17 @@ def _checked(solver: str, options: dict[str, Any]) -> dict[str, Any]:
     else:
         unknown = []
     if unknown:
-        raise SolverOptionError(f"{solver} has no option {unknown[0]!r} with such a value: {options}")
+        raise SolverOptionError(f"{solver} rejected option {unknown[0]!r}: wrong name or value in {options}")
     return options
 
 
 def _matrix(matrix: sp.csc_array) -> sp.csc_matrix:
-    """The class and the integers that the solvers behind qpsolvers take."""
+    """Convert to the class and integer type that the solvers behind qpsolvers take."""
     indices, starts = (i.astype(np.int32) for i in (matrix.indices, matrix.indptr))
     return sp.csc_matrix((matrix.data, indices, starts), shape=matrix.shape)
 
 
 def _sized(values: Any, like: Array) -> Array:
-    """Values, or zeros where a solver that failed returned none."""
+    """Values, or zeros if a failed solver returned none."""
     array = np.zeros(0) if values is None else np.asarray(values, dtype=float).ravel()
     return array if array.size == like.size else np.zeros_like(like)
