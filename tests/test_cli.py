@@ -112,7 +112,7 @@ def test_run_saves_trajectories_summary_and_a_figure(call: Call, tmp_path: Path)
     assert len(json.loads(out)["figures"]) == 6
     assert all(Path(p).stat().st_size > 1000 for p in json.loads(out)["figures"])
     code, _, err = call("plot", out_folder, "--bus", "9")
-    assert (code, err) == (2, "error: no bus is named '9'; known are: 1, 2, 3, 4, 5\n")
+    assert (code, err) == (2, "error: no bus is named '9'; available: 1, 2, 3, 4, 5\n")
 
 
 def test_run_prints_a_short_table(call: Call, tmp_path: Path) -> None:

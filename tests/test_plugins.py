@@ -204,9 +204,9 @@ def test_the_check_finds_power_that_a_fleet_does_not_draw(installed: Path) -> No
     wrong["fleet_p"].loc[{"bus": "close", "time": 2.0}] -= 1.0
     assert check(scenario.network, wrong, series).violations["active balance"].value == pytest.approx(0.1)
     report = check(scenario.network, data.drop_vars("fleet_p"), series)
-    assert "balance of the buses: the results do not say what the fleets draw" in report.unchecked
+    assert "bus balances: the results do not include the power of the fleets" in report.unchecked
     report = check(scenario.network, data.drop_vars("pt"), series)
-    assert "balance of the buses: the results do not say what the branches draw" in report.unchecked
+    assert "bus balances: the results do not include the power of the branches" in report.unchecked
 
 
 def test_the_command_line_uses_them(installed: Path, tmp_path: Path) -> None:

@@ -436,7 +436,7 @@ def test_a_variant_that_only_one_scenario_has_is_a_row(folder: Path) -> None:
     outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
     assert (outcome.done, outcome.failed) == (3, 1)
     assert outcome.failures["scenario=plain.yaml variant=heavy"].endswith(
-        "no variant 'heavy'; known are: none"
+        "no variant 'heavy'; available: none"
     )
 
 
