@@ -59,7 +59,7 @@ def written(folder: Path, text: str) -> Path:
         (replaced(COST, "2	0	0	2	NaN	0;"), 57, "gen1", "c1=nan"),
         (replaced(COST, ""), 56, "mpc.gencost", "4 rows for 5 generators"),
         (replaced(GENERATOR, "1.5" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 1.5:"),
-        (replaced(GENERATOR, "99" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 99: there is no such bus"),
+        (replaced(GENERATOR, "99" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 99: no such bus"),
         (replaced(GENERATOR, GENERATOR.replace("100	1", "100	0.5")), 34, "gen1", "GEN_STATUS = 0.5:"),
         (replaced(BRANCH, "1.5" + BRANCH[1:]), 44, "mpc.branch", "F_BUS = 1.5:"),
         (replaced(BRANCH, BRANCH.replace("1	2", "1	2.5")), 44, "mpc.branch", "T_BUS = 2.5:"),
