@@ -128,7 +128,7 @@ def case5_cost(first: str) -> str:
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("missing.m", None, "there is no such file"),
+        ("missing.m", None, "no such file"),
         ("truncated.m", case5()[:900], "cannot be read as a network"),
         ("unknown.xyz", "hello", "cannot infer"),
         ("empty.m", "", "cannot be read as a network"),

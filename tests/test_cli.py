@@ -171,8 +171,8 @@ def test_list(call: Call) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("solve", "none.m"), "none.m: there is no such file"),
-        (("solve", "none.yaml"), "none.yaml: there is no such file"),
+        (("solve", "none.m"), "none.m: no such file"),
+        (("solve", "none.yaml"), "none.yaml: no such file"),
         (("run", CASE14), "a scenario file ends in .yaml"),
         (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
         (("solve", CASE14, "--solver", "nosuch"), "there is no solver 'nosuch' here; installed are"),
@@ -197,12 +197,12 @@ def test_list(call: Call) -> None:
             ("run", CASE5, "--set", "network.base_mva=1e308"),
             ":10:3: network.base_mva: 1e.308: must be a finite",
         ),
-        (("plot", "x" * 5000), "there is no such file"),
+        (("plot", "x" * 5000), "no such file"),
         (("plot", "/dev/zero"), "is a device"),
         (("frobnicate",), "No such command"),
         (("solve",), "Missing argument"),
         (("solve", CASE14, "--horizon", "x"), "Invalid value for '--horizon'"),
-        (("plot", "nowhere"), "there is no such file"),
+        (("plot", "nowhere"), "no such file"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(call: Call, arguments: tuple, message: str) -> None:

@@ -243,7 +243,7 @@ def test_a_limit_from_a_file(tmp_path: Path) -> None:
     assert scenario(tmp_path, text).problem.constraints["export"].at_most.tolist() == [80, 70, 60, 50]
     for old, new, message in (
         ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
-        ("limits.csv", "none.csv", "none.csv: there is no such file"),
+        ("limits.csv", "none.csv", "none.csv: no such file"),
         ("file:", "fiel:", "at_most: must be a number, a list, or {file: , column: }"),
     ):
         with pytest.raises(ScenarioError, match=message):

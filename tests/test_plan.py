@@ -322,7 +322,7 @@ def test_islands_are_solved_together() -> None:
         (lambda: problem().solve(initial={"x": [1]}), ModelError, "no state is named 'x'; states: pg, qg, e"),
         (lambda: problem().solve(initial={"e": [1, 2]}), ModelError, "initial e: 1 numbers are needed"),
         (lambda: problem().solve(initial={"e": [np.nan]}), ModelError, "initial e: 1 numbers are needed"),
-        (lambda: om.MultiStage(two_bus(), profiles={"town": [1]}), ProfileError, r"write 'component\.field'"),
+        (lambda: om.MultiStage(two_bus(), profiles={"town": [1]}), ProfileError, r"must be 'component\.field'"),
         (lambda: om.MultiStage(two_bus(), profiles={"twn.p": [1]}), ProfileError, "no such component; did you mean 'town'"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.x": [1]}), ProfileError, "a load has no such field"),
         (lambda: om.MultiStage(two_bus(), profiles={"tie.x": [1]}), ProfileError, "the x of a branch is constant"),
@@ -333,7 +333,7 @@ def test_islands_are_solved_together() -> None:
         (lambda: om.MultiStage(everything(), profiles={"dear.c1": [1]}), ProfileError, "the cost of 'dear' is piecewise linear"),
         (lambda: problem(objective=om.SetpointTracking(5)).solve(), ModelError, "set-points 5: must be a mapping"),
         (lambda: om.MultiStage(two_bus(), profiles={"town.p": ["a"]}), ProfileError, "the values must be numbers"),
-        (lambda: om.MultiStage(two_bus(), profiles={"town.p": [1, np.nan]}), ProfileError, "step 1 is not a number"),
+        (lambda: om.MultiStage(two_bus(), profiles={"town.p": [1, np.nan]}), ProfileError, "step 1: nan: must be a number"),
     ],
 )  # fmt: skip
 def test_misuse_is_said(make, error: type[Exception], message: str) -> None:
