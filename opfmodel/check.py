@@ -1,8 +1,8 @@
 """Independent verification of results: recompute all constraints and the cost from the data alone.
 
 This module shares no equations with the rest of the package. It works on declared components and on
-trajectories in physical units, uses complex arithmetic, and knows neither programs nor solvers, so
-its findings are independent evidence about them. A trajectory is checked against the physics of the
+trajectories in physical units, uses complex arithmetic, and does not depend on programs or solvers,
+so it provides independent evidence about them. A trajectory is checked against the physics of the
 formulation named in its attributes. For formulations and devices from other packages, everything that
 requires no knowledge of them is verified, and the rest is reported as unchecked.
 """
@@ -361,7 +361,7 @@ class _Checker:
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
         before = [math.nan if previous_pg is None else previous_pg[name] for name in ramped.names]
         change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
-        change[np.isnan(change)] = 0.0  # the dispatch before the first stage is unknown
+        change[np.isnan(change)] = 0.0  # no check where the dispatch is unknown, as before the first stage
         self.note("ramp", ramped.names, change - ramped.number("ramp") * self.step, "MW")
 
     def check_storages(self) -> None:

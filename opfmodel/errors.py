@@ -63,7 +63,7 @@ class ComponentError(OpfmodelError):
 
 
 class NetworkError(OpfmodelError):
-    """The components do not form a valid network, for example because of a duplicate name or no bus."""
+    """The components do not form a valid network, for example because no bus is in service."""
 
 
 class CaseError(OpfmodelError):

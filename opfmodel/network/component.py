@@ -191,7 +191,7 @@ class Component:
 
     @classmethod
     def unlimited(cls, key: str) -> float | None:
-        """Value that means "no limit" in a quantity of the arrays, ±infinity; None if it must be limited.
+        """Value that means "no limit" in a quantity of the arrays, ±infinity; None if it must be finite.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Fields with which the dataclass of a component declares its quantities, and checks of their values."""
+"""Field declarations of component dataclasses, and checks of their values."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def check_finite(profiles: Profiles, network: Network) -> None:
     generators.
     """
     for key, values in profiles.items():
-        wrong = ~(np.abs(values) <= LARGEST)  # written so that NaN is wrong, too
+        wrong = ~(np.abs(values) <= LARGEST)  # true for NaN as well
         if not wrong.any():
             continue
         unlimited = network[key.component].unlimited(key.field) if key.component in network else None

@@ -1,4 +1,4 @@
-"""Discovery of plugins in this and other packages, and their construction from the options of a file."""
+"""Discovery of plugins in this and other packages, and their construction from file options."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def make(
     ------
     PluginError
         The plugin or an option is unknown, a required option is missing, or a value has the wrong type.
-        The attribute ``option`` names the option.
+        The attribute ``option`` names the option that is unknown or has the wrong type.
     """
     from pydantic import ConfigDict, TypeAdapter, ValidationError
 

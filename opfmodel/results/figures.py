@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "buses", "demand", "save_figures", "system"]
 
-# Okabe-Ito palette, which is safe for colour-blind readers.
+# Okabe-Ito palette; distinct line styles keep figures readable in greyscale.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WIDTH = 7.2  # inches: the text width of a page
 _MOST_LINES = 7
@@ -74,7 +74,7 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
 def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     """Plot generation, storage power, voltage, angle and stored energy at some buses.
 
-    Solid lines show the first quantity of a panel; dashed lines show reactive power.
+    Reactive power is dashed; all other quantities are solid.
     """
     chosen = _buses(data, names)
     panels = [

@@ -500,7 +500,7 @@ class _Checks:
 
 
 def _whose(tables: Mapping[str, Table], table: str, row: int) -> str:
-    """Name of the generator of a row, as in the network; for other tables, the table."""
+    """Name of the generator in a row, as in the network; the table name for other tables."""
     if table not in ("gen", "gencost"):
         return f"mpc.{table}"
     generators = len(tables.get("gen", ()))
