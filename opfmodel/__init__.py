@@ -1,4 +1,4 @@
-"""Declarative multi-stage AC optimal power flow with storage, in receding horizon.
+"""Declarative multi-stage AC optimal power flow with storage over a receding horizon.
 
 >>> import opfmodel as om
 >>> grid = om.Network("one-bus")
@@ -12,5 +12,5 @@
 
 import lazy_loader
 
-# The public names are in __init__.pyi, once; each is imported at first use, so that this stays light.
+# The public names are listed in __init__.pyi only. Each is imported on first use to keep this import fast.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,10 +1,10 @@
-"""Independent verification of results: every constraint and the cost, from data alone.
+"""Independent verification of results: recompute all constraints and the cost from the data alone.
 
-This module shares no equations with the rest of the package: it works on the declared components
-and on trajectories in physical units, with complex arithmetic, and knows neither programs nor
-solvers. What it finds is evidence about them. A trajectory is held against the physics of the
-formulation that it says it was made with. Of formulations and devices of other packages it
-verifies what needs no knowledge of them, and says what it left out.
+This module shares no equations with the rest of the package. It works on declared components and on
+trajectories in physical units, uses complex arithmetic, and does not depend on programs or solvers,
+so it provides independent evidence about them. A trajectory is checked against the physics of the
+formulation named in its attributes. For formulations and devices from other packages, everything that
+requires no knowledge of them is verified, and the rest is reported as unchecked.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating]
 Series = Mapping[Any, npt.ArrayLike]
 Bounds = tuple[Array, Array]
-Flows = tuple[Complex, Complex]  # power into the from and the to end of every branch, p.u.
+Flows = tuple[Complex, Complex]  # power into the from and to ends of each branch, p.u.
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Violation:
     Attributes
     ----------
     value
-        In per unit on the network's ``base_mva`` (energies in p.u. h), or radians.
+        Violation in per unit on the network's ``base_mva`` (energies in p.u. h), or in radians.
     component, time
-        Where it is, and the coordinate of its stage.
+        Component where it occurs, and time coordinate of the stage.
     physical, unit
-        The same in MW, MVAr, MVA, MWh, degrees or p.u. of voltage.
+        Violation in MW, MVAr, MVA, MWh, degrees or, for voltages, p.u.
     relative
-        The same in per unit on ``Network.scale_mva``, which does not depend on the base, or radians.
+        Violation in per unit on ``Network.scale_mva``, which does not depend on the base, or in radians.
     """
 
     family: str
@@ -72,19 +72,19 @@ class Violation:
 
 @dataclass
 class Report:
-    """What :func:`check` found.
+    """Outcome of :func:`check`.
 
     Attributes
     ----------
     violations
-        The largest violation by family of constraints, also where it is zero.
+        Largest violation of each family of constraints, including zero violations.
     cost
-        Operating cost over all stages, recomputed, in $.
+        Recomputed operating cost over all stages, $.
     unchecked
-        What could not be verified, because a formulation or device is not one of this package.
+        Items that could not be verified because a formulation or device is from another package.
     simultaneous
-        Largest power in p.u. by which a storage with losses charges and discharges at once; it
-        is no violation but says that the storage model was not tight.
+        Maximum power, p.u., at which a storage with losses charges and discharges simultaneously.
+        This is not a violation but shows that the storage model is not tight.
     """
 
     violations: dict[str, Violation] = field(default_factory=dict)
@@ -94,16 +94,16 @@ class Report:
 
     @property
     def max_violation(self) -> float:
-        """The largest violation of all."""
+        """Largest violation of all families."""
         return max((v.value for v in self.violations.values()), default=0.0)
 
     @property
     def worst(self) -> Violation | None:
-        """The family with the largest violation."""
+        """Violation that is largest in the relative measure."""
         return max(self.violations.values(), key=lambda v: v.relative, default=None)
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
-        """The violations that are not zero, by family, as plain data in physical units."""
+        """Nonzero violations by family, as plain data in physical units."""
         return {
             v.family: {"value": v.physical, "unit": v.unit, "component": v.component, "time": v.time}
             for v in self.violations.values()
@@ -126,24 +126,24 @@ def check(
     first: int = 0,
     previous_pg: Mapping[str, float] | None = None,
 ) -> Report:
-    """Recompute every constraint of a trajectory and its operating cost.
+    """Recompute all constraints and the operating cost of a trajectory.
 
     Parameters
     ----------
     network
-        The declared network.
+        Declared network.
     data
-        Trajectories as in ``plan.data`` or ``run.data``, in physical units, over ``time``: for AC
+        Trajectories over ``time`` in physical units, as in ``plan.data`` or ``run.data``: for AC
         ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
-        attribute ``formulation`` names the physics, AC by default. Components may be in any order;
-        those that they lack count as out of service.
+        attribute ``formulation`` selects the physics, AC by default. Components may be in any order;
+        components that are missing from the data count as out of service.
     series
-        Time series: :class:`opfmodel.Profiles`, or values by ``"component.field"``; other fields are
-        constant.
+        Time series: :class:`opfmodel.Profiles`, or values by ``"component.field"``. All other fields
+        are constant.
     first
-        Position in the series of the first stage of ``data``.
+        Position of the first stage of ``data`` in the series.
     previous_pg
-        Dispatch before the first stage, MW by generator; ramps from it are checked for those that it has.
+        Dispatch before the first stage, MW by generator; required to check the first ramp.
 
     Returns
     -------
@@ -152,26 +152,26 @@ def check(
     Raises
     ------
     ProfileError
-        A time series does not cover the stages.
+        A time series does not cover all stages.
     ResultError
-        The data have two components of one kind and name.
+        The data contain two components of the same kind and name.
     """
     return _Checker(network, data, series, first).run(previous_pg)
 
 
 def economic_cost(network: Network, data: xr.Dataset, series: Series | None = None, first: int = 0) -> Array:
-    """Operating cost of the generators in each stage, $/h, from ``pg`` and the declared costs."""
+    """Operating cost of the generators in each stage, $/h, from ``pg`` and the declared cost functions."""
     return _Checker(network, data, series, first).cost_rate()
 
 
 def losses(network: Network, data: xr.Dataset) -> Array:
-    """Active losses of all branches in each stage, MW, from voltages: the sum of both ends."""
+    """Active losses of all branches in each stage, MW: the sum of the flows into both ends."""
     at_from, at_to = _ac_flows(_Checker(network, data, None, 0))
     return np.asarray((at_from.real + at_to.real).sum(axis=0) * network.base_mva)
 
 
 class _Trajectories:
-    """What changes over the stages, the data and the time series, as arrays ``(items, stages)``."""
+    """Trajectories and time series as arrays ``(items, stages)``."""
 
     def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
         self.data = data
@@ -182,11 +182,11 @@ class _Trajectories:
         self.positions: dict[str, dict[str, int]] = {}
 
     def has(self, *quantities: str) -> bool:
-        """Whether the data have all of some quantities."""
+        """Whether the data contain all given quantities."""
         return all(quantity in self.data for quantity in quantities)
 
     def position(self, kind: str) -> dict[str, int]:
-        """Position in the data of each component of a kind."""
+        """Position of each component of a kind in the data."""
         if kind not in self.positions:
             names = self.data[kind].values.tolist() if kind in self.data.coords else []
             self.positions[kind] = {name: i for i, name in enumerate(names)}
@@ -196,11 +196,11 @@ class _Trajectories:
         return self.positions[kind]
 
     def of(self, quantity: str, names: list[str]) -> Array:
-        """A quantity of some components, in its physical unit."""
-        if not names:  # the data need not have what nothing uses
+        """Values of a quantity for the named components, in its physical unit."""
+        if not names:  # the quantity may be missing if there are no components
             return np.zeros((0, len(self.times)))
         if quantity not in self.data:
-            raise ResultError(f"data: there is no quantity {quantity!r}")
+            raise ResultError(f"data: no such quantity: {quantity!r}")
         array = self.data[quantity].variable
         kind = next(str(d) for d in array.dims if d != "time")
         position = self.position(kind)
@@ -211,7 +211,7 @@ class _Trajectories:
         return values[[position[name] for name in names]]
 
     def declared(self, field: str, names: list[str], constants: Array) -> Array:
-        """A field of some components: their ``constants``, ``(items, 1)``, or the time series they have."""
+        """Values of a field: ``constants`` of shape ``(items, 1)``, replaced by time series where given."""
         first, end = self.window.start, self.window.stop
         keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}
         changing = {i: self.series[key] for i, key in keys.items() if key in self.series}
@@ -227,49 +227,49 @@ class _Trajectories:
 
 @dataclass(frozen=True)
 class _Table:
-    """Components of one kind; a declared field is ``(items, 1)``, with time series ``(items, stages)``."""
+    """Components of one kind. Fields have shape ``(items, 1)``, or ``(items, stages)`` with time series."""
 
     names: list[str]
     members: list[Any]
     trajectories: _Trajectories
 
     def where(self, mask: npt.ArrayLike) -> _Table:
-        """The components for which the mask is true."""
+        """Select components by a Boolean mask."""
         chosen = np.asarray(mask, dtype=bool).tolist()
         return replace(self, names=[*compress(self.names, chosen)], members=[*compress(self.members, chosen)])
 
     def values(self, quantity: str) -> Array:
-        """A quantity of every component, in its physical unit."""
+        """Values of a quantity for all components, in its physical unit."""
         return self.trajectories.of(quantity, self.names)
 
     def each(self, field: str) -> list[Any]:
-        """A field of every component, as declared."""
+        """Declared values of a field for all components."""
         return list(map(attrgetter(field), self.members))
 
     def constant(self, field: str) -> Array:
-        """A number of every component; None stands for no limit."""
+        """Values of a number field for all components; None becomes infinity (no limit)."""
         values = [math.inf if value is None else value for value in self.each(field)]
         return np.array(values, dtype=float)[:, None]
 
     def span(self, field: str) -> Bounds:
-        """Minimum and maximum of every component; one number ``a`` stands for ``(-a, a)``."""
+        """Minimum and maximum for all components; a single number ``a`` stands for ``(-a, a)``."""
         pairs = [pair if isinstance(pair, tuple | list) else (-pair, pair) for pair in self.each(field)]
         ends = np.fromiter(chain.from_iterable(pairs), dtype=float).reshape(-1, 2)
         return ends[:, :1], ends[:, 1:]
 
     def number(self, field: str) -> Array:
-        """A number of every component, or its time series."""
+        """Values of a number field for all components, including time series."""
         return self.trajectories.declared(field, self.names, self.constant(field))
 
     def bounds(self, field: str) -> Bounds:
-        """Minimum and maximum of every component, or their time series."""
+        """Minimum and maximum for all components, including time series."""
         low, high = self.span(field)
         declared = self.trajectories.declared
         return declared(f"{field}_min", self.names, low), declared(f"{field}_max", self.names, high)
 
 
 class _Checker:
-    """The constraints of every kind of component, evaluated in arrays ``(items, stages)``."""
+    """Constraints of all kinds of components, evaluated as arrays ``(items, stages)``."""
 
     def __init__(self, network: Network, data: xr.Dataset, series: Series | None, first: int) -> None:
         self.network, self.base, self.scale = network, network.base_mva, network.scale_mva
@@ -284,11 +284,11 @@ class _Checker:
         self.generators, self.storages = self.reported(Generator), self.reported(Storage)
         self.position = {bus: i for i, bus in enumerate(self.buses.names)}
         kinds = dict.fromkeys(type(c) for c in network.of(Component).values() if c.in_service)
-        self.others = [kind for kind in kinds if not issubclass(kind, BUILT_IN)]  # of other packages
+        self.others = [kind for kind in kinds if not issubclass(kind, BUILT_IN)]  # from other packages
         self.report = Report()
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
-        """Check everything."""
+        """Run all checks."""
         self.check_generators(previous_pg)
         self.check_storages()
         for kind in self.others:
@@ -308,33 +308,33 @@ class _Checker:
         return self.report
 
     def table(self, members: Mapping[str, Component]) -> _Table:
-        """A table of components by name."""
+        """Make a table of components."""
         return _Table(list(members), [member.resolved() for member in members.values()], self.trajectories)
 
     def reported(self, kind: type[Component]) -> _Table:
-        """Components of a class that the data have, in the order of their declaration."""
+        """Components of a class that are in the data, in order of declaration."""
         present = self.trajectories.position(kind.kind)
         return self.table({n: c for n, c in self.network.of(kind).items() if n in present})
 
     def at_work(self, kind: type[Load | Shunt]) -> _Table:
-        """Components of a class that are in service at buses that the data have."""
+        """Components of a class that are in service at buses in the data."""
         members = self.network.of(kind).items()
         return self.table({n: c for n, c in members if c.in_service and c.bus in self.position})
 
     def leave_out(self, what: str) -> None:
-        """Say that something was not verified."""
+        """Record that something was not verified."""
         if what not in self.report.unchecked:
             self.report.unchecked = (*self.report.unchecked, what)
 
     def note(self, family: str, names: list[str], excess: Array, unit: str) -> None:
-        """Keep the largest violation of a family; of equals the first by component, then by stage.
+        """Record the largest violation of a family; ties go to the first component, then the first stage.
 
-        Where nothing is violated, it is the first component at the stage where it comes closest.
+        Without a violation, record the first component at the stage where it is closest to its limit.
 
         Parameters
         ----------
         excess
-            ``(items, stages)`` or ``(items, ends, stages)``, in ``unit``; a missing number is infinite.
+            ``(items, stages)`` or ``(items, ends, stages)``, in ``unit``; NaN counts as infinite.
         """
         if not names:
             return
@@ -358,7 +358,7 @@ class _Checker:
     # Devices -----------------------------------------------------------------------------
 
     def check_generators(self, previous_pg: Mapping[str, float] | None) -> None:
-        """Active and reactive limits and ramps."""
+        """Check active and reactive power limits and ramps."""
         units = self.generators
         self.inside("generator p", units, units.values("pg"), units.bounds("p"), "MW")
         if self.reactive:
@@ -368,11 +368,11 @@ class _Checker:
             math.nan if previous_pg is None else previous_pg.get(name, math.nan) for name in ramped.names
         ]
         change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
-        change[np.isnan(change)] = 0.0  # nothing is known before the first stage
+        change[np.isnan(change)] = 0.0  # no check where the dispatch is unknown, as before the first stage
         self.note("ramp", ramped.names, change - ramped.number("ramp") * self.step, "MW")
 
     def check_storages(self) -> None:
-        """Power, energy and apparent-power limits, and the energy balance of each storage."""
+        """Check power, energy and apparent-power limits, and the energy balance of each storage."""
         units = self.storages
         ps, e, e_next = units.values("ps"), units.values("e"), units.values("e_next")
         qs = units.values("qs") if self.reactive else np.zeros_like(ps)
@@ -381,11 +381,11 @@ class _Checker:
         limits = units.number("energy_min"), units.number("energy")
         self.inside("storage energy", units, e_next, limits, "MWh")
         self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
-        gap = np.zeros_like(e)  # after the last stage there is none
+        gap = np.zeros_like(e)  # the last stage has no successor
         gap[:, :-1] = np.abs(e[:, 1:] - e_next[:, :-1])
         self.note("energy continuity", units.names, gap, "MWh")
         stored = (e_next - (1 - units.constant("standing_loss") * self.step) * e) / self.step
-        # of all splits into charging and discharging the one with nothing at once stores most
+        # a given net power stores the most energy without simultaneous charging and discharging
         gain, drain = units.constant("charge_efficiency"), 1 / units.constant("discharge_efficiency")
         most = np.where(ps >= 0, gain * ps, drain * ps)
         lossy = gain < drain
@@ -402,36 +402,36 @@ class _Checker:
         rate = (costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")).sum(axis=0)
         for cost, dispatch in zip(linear.each("cost"), linear.values("pg"), strict=True):
             slope, offset = np.array(cost.segments).T[:, :, None]
-            rate += (slope * dispatch + offset).max(axis=0)  # the largest of the lines
+            rate += (slope * dispatch + offset).max(axis=0)  # convex: the maximum over the segments
         return np.asarray(rate)
 
     # Network -----------------------------------------------------------------------------
 
     def voltage_squared(self, buses: list[str]) -> Array:
-        """Squared voltage magnitudes, p.u.; 1 where the formulation has none."""
+        """Squared voltage magnitudes, p.u.; 1 if the formulation has none."""
         if not self.voltages_known:
             return np.ones((len(buses), 1))
         of = self.trajectories.of
         return of("w", buses) if self.has("w") else of("vm", buses) ** 2
 
     def ends(self, quantity: str) -> tuple[Array, Array]:
-        """A quantity of the buses at the from and the to ends of the branches."""
+        """Bus quantity at the from and to ends of the branches."""
         from_bus, to_bus = self.branches.each("from_bus"), self.branches.each("to_bus")
         return self.trajectories.of(quantity, from_bus), self.trajectories.of(quantity, to_bus)
 
     def angles(self) -> Array:
-        """Angles across the branches, degrees."""
+        """Angle differences across the branches, degrees."""
         if self.has("va"):
             return np.subtract(*self.ends("va"))
         return np.rad2deg(np.arctan2(self.branches.values("wi"), self.branches.values("wr")))
 
     def limited_angles(self) -> npt.NDArray[np.bool_]:
-        """Which branches have a limit on the angle across them."""
+        """Mask of the branches that have an angle-difference limit."""
         least, most = self.branches.span("angle")
         return np.asarray((least > -360) | (most < 360))[:, 0]
 
     def check_branches(self, flows: Flows) -> None:
-        """Flows as reported, and ratings at both ends."""
+        """Check reported flows, and ratings at both ends."""
         names, (at_from, at_to) = self.branches.names, flows
         parts = {"pf": at_from.real, "qf": at_from.imag, "pt": at_to.real, "qt": at_to.imag}
         wrong = [np.abs(self.branches.values(q) - self.base * p) for q, p in parts.items() if self.has(q)]
@@ -441,12 +441,12 @@ class _Checker:
         self.note("branch rating", names, apparent - self.branches.number("rating")[:, None], "MVA")
 
     def check_balance(self, flows: Flows | None) -> None:
-        """Power is balanced at every bus, or in every island where there is no network."""
+        """Check the power balance of each bus or, in a copperplate model, of each island."""
         missing = [kind.plural for kind in self.others if not self.has(f"{kind.kind}_p")]
         if flows is None and self.formulation != "copperplate":
             missing.append("branches")
         for plural in missing:
-            self.leave_out(f"balance of the buses: the results do not say what the {plural} draw")
+            self.leave_out(f"bus balances: the results do not include the power of the {plural}")
         if missing:
             return
         names, total = self.buses.names, self.injections()
@@ -465,7 +465,7 @@ class _Checker:
             self.note("reactive balance", names, self.base * np.abs(total.imag), "MVAr")
 
     def injections(self) -> Complex:
-        """Complex power that devices and shunts put into each bus, p.u."""
+        """Complex power injected into each bus by devices and shunts, p.u."""
         buses, loads, shunts = self.buses, self.at_work(Load), self.at_work(Shunt)
         demand = (loads.number("p") + 1j * loads.number("q")) / self.base
         g, b = shunts.constant("g") / self.base, shunts.constant("b") / self.base
@@ -489,7 +489,7 @@ class _Checker:
         return np.asarray((items.values(active) + 1j * q) / self.base)
 
     def lacking(self, active: str, reactive: str, items: _Table) -> Complex:
-        """What an elastic plan or a plant reports to lack, p.u.; a violation in itself."""
+        """Unserved or surplus power reported by an elastic plan or a plant, p.u.; itself a violation."""
         power = np.zeros((len(items.names), len(self.trajectories.times)), dtype=complex)
         for quantity, factor, unit in ((active, 1.0, "MW"), (reactive, 1j, "MVAr")):
             if self.has(quantity):
@@ -499,7 +499,7 @@ class _Checker:
         return power
 
     def islands(self) -> list[list[str]]:
-        """Buses that branches in service connect."""
+        """Groups of buses connected by branches in service."""
         graph = nx.Graph()
         graph.add_nodes_from(self.position)
         pairs = [b.buses for b in self.network.of(Branch).values() if b.in_service]
@@ -507,7 +507,7 @@ class _Checker:
         return [sorted(members) for members in nx.connected_components(graph)]
 
 
-# Flows of the formulations: complex power into both ends of each branch, p.u. ---------------------
+# Flows by formulation: complex power into both ends of each branch, p.u. --------------------------
 
 
 def _phasor(magnitude: Array, degrees: Array) -> Complex:
@@ -520,7 +520,7 @@ def _series_admittance(branches: _Table) -> Complex:
 
 
 def _end_shunts(branches: _Table) -> tuple[Complex, Complex]:
-    """Admittance to ground at the from and the to end: half of the charging and what is there besides."""
+    """Admittance to ground at the from and to ends: half the line charging plus the shunt of that end."""
     half = (branches.constant("g") + 1j * branches.constant("b")) / 2
     at_from = half + branches.constant("g_from") + 1j * branches.constant("b_from")
     at_to = half + branches.constant("g_to") + 1j * branches.constant("b_to")
@@ -528,18 +528,18 @@ def _end_shunts(branches: _Table) -> tuple[Complex, Complex]:
 
 
 def _ac_flows(c: _Checker) -> Flows:
-    """The π model with an ideal transformer at the from end, from complex voltages."""
+    """Flows of the π model with an ideal transformer at the from end, from complex voltages."""
     v_from, v_to = map(_phasor, c.ends("vm"), c.ends("va"))
     ratio = _phasor(c.branches.constant("tap"), c.branches.constant("shift"))
     series, (shunt_from, shunt_to) = _series_admittance(c.branches), _end_shunts(c.branches)
-    behind = v_from / ratio  # the ideal transformer
+    behind = v_from / ratio  # voltage behind the ideal transformer
     current_behind = (behind - v_to) * series + behind * shunt_from
     current_to = (v_to - behind) * series + v_to * shunt_to
     return behind * current_behind.conj(), v_to * current_to.conj()
 
 
 def _soc_flows(c: _Checker) -> Flows:
-    """The π model on products of voltages, which must lie in their cone."""
+    """Flows of the π model from voltage products; also check that the products lie in their cone."""
     w_from, w_to = c.ends("w")
     product = c.branches.values("wr") + 1j * c.branches.values("wi")  # v_from v_to*
     c.note("voltage products", c.branches.names, np.abs(product) ** 2 - w_from * w_to, "p.u.")
@@ -551,20 +551,20 @@ def _soc_flows(c: _Checker) -> Flows:
 
 
 def _dc_flows(c: _Checker) -> Flows:
-    """Susceptance x / (r² + x²) times the angle."""
+    """Flows as susceptance x / (r² + x²) times the angle difference."""
     flow = -_series_admittance(c.branches).imag * np.deg2rad(c.angles()) + 0j
     return flow, -flow
 
 
 def _dc_matpower_flows(c: _Checker) -> Flows:
-    """Susceptance 1 / (x tap) times the angle behind the phase shift."""
+    """Flows as susceptance 1 / (x tap) times the angle difference minus the phase shift."""
     susceptance = 1 / (c.branches.constant("x") * c.branches.constant("tap"))
     flow = susceptance * np.deg2rad(c.angles() - c.branches.constant("shift")) + 0j
     return flow, -flow
 
 
 def _dc_losses_flows(c: _Checker) -> Flows:
-    """The lossless flow and half of a loss at either end, which must be at least g angle²."""
+    """Lossless flows plus half the loss at each end; also check that the loss is at least g angle²."""
     flow, _ = _dc_flows(c)
     loss = c.branches.values("loss") / c.base
     least = _series_admittance(c.branches).real * np.deg2rad(c.angles()) ** 2
@@ -573,7 +573,7 @@ def _dc_losses_flows(c: _Checker) -> Flows:
 
 
 def _reported_flows(c: _Checker) -> Flows | None:
-    """Of a formulation that is not known here: the flows that it reports, if it does."""
+    """Flows reported by an unknown formulation; None if it reports none."""
     c.leave_out(f"branch equations of the formulation {c.formulation!r}")
     if not c.angles_known and c.limited_angles().any():
         c.leave_out("angle differences")

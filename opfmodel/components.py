@@ -1,4 +1,4 @@
-"""Components under the path that devices of other packages import them from; they live in ``network``."""
+"""Public import path of the components of :mod:`opfmodel.network`, for devices from other packages."""
 
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage

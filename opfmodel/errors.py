@@ -1,4 +1,4 @@
-"""The errors and warnings that opfmodel raises on purpose, and how their messages are written."""
+"""Errors and warnings that opfmodel raises, and helpers that write their messages."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _LONGEST = 200
 
 
 class OpfmodelError(Exception):
-    """Base class: a mistake in the input, in one sentence. The command line exits with 2.
+    """Base class of errors in the user's input; the command line exits with status 2.
 
-    The message is one line whatever names and paths it quotes.
+    The message is a single line, whatever names and paths it quotes.
     """
 
     def __init__(self, message: str = "") -> None:
@@ -46,12 +46,12 @@ class OpfmodelError(Exception):
 
 
 class ComponentError(OpfmodelError):
-    """A field of a component breaks a rule.
+    """A field of a component has an invalid value.
 
     Attributes
     ----------
     component, field
-        Name of the component and of its field, so that a caller can find the line in a file.
+        Names of the component and the field, from which a caller can locate the line in a file.
     """
 
     def __init__(self, component: str, field: str, value: object, rule: str) -> None:
@@ -63,24 +63,24 @@ class ComponentError(OpfmodelError):
 
 
 class NetworkError(OpfmodelError):
-    """The components do not make a network: a duplicate name, no bus, no generator to balance it."""
+    """The components do not form a valid network, for example because no bus is in service."""
 
 
 class CaseError(OpfmodelError):
-    """A network file is missing, damaged, of an unknown format, or lacks what a model needs."""
+    """A network file is missing, corrupt, in an unknown format, or lacks required data."""
 
 
 class CaseWarning(UserWarning):
-    """Something about a network file that its user should know."""
+    """A network file contains data that are ignored, changed or ambiguous."""
 
 
 class ProfileError(OpfmodelError):
-    """A time series is too short, names nothing in the network, or is not a number.
+    """A time series is too short, matches no component, or has an invalid value.
 
     Attributes
     ----------
     series, step
-        Component and field of the series, and the step if it is one value that breaks a rule.
+        Component and field of the series, and the step if a single value is invalid.
     """
 
     def __init__(self, message: str, series: tuple[str, str] | None = None, step: int | None = None) -> None:
@@ -90,22 +90,22 @@ class ProfileError(OpfmodelError):
 
 
 class ProfileWarning(UserWarning):
-    """A profile rule that changes nothing."""
+    """A profile rule has no effect."""
 
 
 class ModelError(OpfmodelError):
-    """An option of a formulation, objective, device, plant or horizon breaks a rule."""
+    """An option of a formulation, objective, device, plant or horizon is invalid."""
 
 
 class IncompatibleError(ModelError):
-    """Parts that are valid by themselves do not fit together: an objective and a formulation, for instance.
+    """Valid parts, such as an objective and a formulation, cannot be combined.
 
-    A study keeps such a combination as a failed run; every other error is a mistake in its file.
+    A study records such a combination as a failed run; any other error is an error in the study file.
     """
 
 
 class QuantityError(ModelError):
-    """A quantity that is not there: unknown, or not published by the formulation.
+    """A quantity is unknown, or the formulation does not publish it.
 
     Attributes
     ----------
@@ -120,12 +120,12 @@ class QuantityError(ModelError):
 
 
 class ConstraintError(ModelError):
-    """A constraint of a scenario file is not well formed, or names what is not there.
+    """A constraint in a scenario file is malformed or refers to an unknown name.
 
     Attributes
     ----------
     key
-        Keys below the constraint's name that lead to the mistake.
+        Path of keys, below the constraint's name, to the invalid entry.
     """
 
     def __init__(self, message: str, *key: str) -> None:
@@ -134,14 +134,14 @@ class ConstraintError(ModelError):
 
 
 class PluginError(OpfmodelError):
-    """A plugin does not exist, could not be loaded, or was given options it does not take.
+    """A plugin does not exist, cannot be loaded, or does not accept the given options.
 
     Attributes
     ----------
     option
-        The option at fault, if it is one.
+        Invalid option, if the error concerns one.
     key
-        Keys that lead to the mistake: the option, and those inside its value.
+        Path of keys to the invalid entry: the option, then keys inside its value.
     """
 
     def __init__(self, message: str, *key: str | int) -> None:
@@ -151,36 +151,36 @@ class PluginError(OpfmodelError):
 
 
 class ResultError(OpfmodelError):
-    """Results cannot be written, or what is read is not one."""
+    """Results cannot be written or read."""
 
 
 class ResultWarning(UserWarning):
-    """Some of the results that are read cannot be trusted, and are left out."""
+    """Some stored results fail verification and are skipped."""
 
 
 class ScenarioError(OpfmodelError):
-    """A scenario or study file breaks its schema; the message names file, line and column."""
+    """A scenario or study file violates its schema; the message gives file, line and column."""
 
 
 class SizeError(OpfmodelError):
-    """What is asked for needs more memory than the machine has; nothing of it was allocated."""
+    """A problem needs more memory than the machine has; raised before anything is allocated."""
 
 
 class StudyError(OpfmodelError):
-    """A study cannot go on: its folder is in use, or its workers cannot be had."""
+    """A study cannot continue: its folder is in use, or its workers are unavailable."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """What to tell somebody who wrote ``name``: the nearest known names, or all of them."""
+    """Suggest the known names closest to ``name``, or list all of them if none is close."""
     names = sorted(known)
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
     if close:
         return "did you mean " + " or ".join(repr(n) for n in close) + "?"
-    return "known are: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
+    return "available: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """The first names, and how many more there are.
+    """Join the first names and count the rest.
 
     Examples
     --------
@@ -193,9 +193,9 @@ def listed(names: Iterable[str], most: int = 5) -> str:
 
 
 def visible(text: str) -> str:
-    r"""The text with escapes, as ``repr`` writes them, for whatever cannot be printed.
+    r"""Escape the characters of a text that cannot be printed, as ``repr`` does.
 
-    Everything that the command line prints passes here, for names and values come from files.
+    The command line passes all output through this function because names and values come from files.
 
     Examples
     --------
@@ -208,23 +208,23 @@ def visible(text: str) -> str:
 
 
 def name_fault(name: str) -> str:
-    r"""What is wrong with a name: a character that cannot be seen; empty for a name that can be read.
+    r"""Describe the first invisible character of a name; empty if there is none.
 
     Examples
     --------
     >>> name_fault("a\tb")
-    "has the character '\\t'; names have visible characters only"
+    "has the character '\\t'; use visible characters only"
     >>> name_fault("Würzburg 2")
     ''
     """
     if not name.isprintable():
         for character in name:
             if unicodedata.category(character) in _UNSEEN:
-                return f"has the character {character!a}; names have visible characters only"
+                return f"has the character {character!a}; use visible characters only"
     return ""
 
 
 def shown(value: object) -> str:
-    """A value as messages show it: its ``repr``, cut where it is long."""
+    """Format a value for a message: its ``repr``, truncated if long."""
     text = repr(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

@@ -1,7 +1,7 @@
-"""What :func:`opfmodel.check.check` must find, one component and one stage at a time, in plain numbers.
+"""Scalar reference for :func:`opfmodel.check.check`: one component and one stage at a time.
 
-The two-port admittances of a branch are those of MATPOWER's manual (equation 3.2), and a bus is balanced
-by going through all that is connected to it: no arrays, and none of the equations of the check.
+The two-port admittances of a branch are those of MATPOWER's manual (equation 3.2), and the balance of a bus
+sums over everything connected to it. No arrays, and no equations shared with the check.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import opfmodel as om
 
 Series = Mapping[str, Sequence[float]]
 Excess = tuple[str, str, float]
-"""Family, component, and by how much a limit is exceeded, in the physical unit."""
+"""Family, component, and amount by which a limit is exceeded, in the physical unit."""
 
 
 def excesses(grid: om.Network, data: xr.Dataset, series: Series) -> dict[str, list[tuple[str, float, float]]]:
-    """Component, time and excess of every constraint by family, of built-in components that the data have."""
+    """Component, time and excess of every constraint, by family, for the built-in components in the data."""
     found: dict[str, list[tuple[str, float, float]]] = {}
     stages = each_stage(grid, data, series)
     for before, stage, after in zip([None, *stages], stages, [*stages[1:], None], strict=False):
@@ -41,7 +41,7 @@ def each_stage(grid: om.Network, data: xr.Dataset, series: Series) -> list[Stage
 
 
 class Stage:
-    """One stage of the data; powers are in MW and MVAr."""
+    """One stage of the data, with powers in MW and MVAr."""
 
     def __init__(self, grid: om.Network, data: xr.Dataset, series: Series, k: int) -> None:
         self.grid, self.series, self.k = grid, series, k
@@ -127,7 +127,7 @@ class Stage:
 
     def buses(self) -> Iterator[Excess]:
         balance = {bus: self.injection(bus) for bus in self.grid.of(om.Bus)}
-        if self.formulation == "copperplate":  # of one island
+        if self.formulation == "copperplate":  # the test grid is one island
             balance = {min(balance): sum(balance.values())}
         for name, power in balance.items():
             yield "active balance", name, abs(power.real)
@@ -170,7 +170,7 @@ class Stage:
         return power
 
     def angle(self, name: str, branch: om.Branch) -> float:
-        """Across a branch, degrees."""
+        """Angle difference across a branch, degrees."""
         if self.formulation == "soc":
             return math.degrees(math.atan2(self.data["wi"][name], self.data["wr"][name]))
         return self.data["va"][branch.from_bus] - self.data["va"][branch.to_bus]

@@ -1,4 +1,4 @@
-"""The independent check finds what is wrong: every family of violations, planted one by one."""
+"""The independent check detects violations of every family, planted one at a time."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_piecewise_linear_costs_beside_others() -> None:
     )
 
 
-# The place of the largest violation -----------------------------------------------------------------
+# Location of the largest violation ------------------------------------------------------------------
 
 
 def place(violation: Violation) -> tuple[str, float]:
@@ -183,7 +183,7 @@ def test_ratings_hold_at_both_ends(solved, end: str) -> None:
     assert found.physical == pytest.approx(900 - 70, abs=1)
 
 
-def test_of_equal_violations_the_first_component_counts_at_its_first_stage(solved) -> None:
+def test_ties_go_to_the_first_component_and_then_the_first_stage(solved) -> None:
     grid, data = solved
     wrong = data.copy(deep=True)
     for bus, time in (("c", 1.0), ("b", 4.0), ("b", 3.0), ("d", 0.0)):
@@ -194,26 +194,26 @@ def test_of_equal_violations_the_first_component_counts_at_its_first_stage(solve
         assert found.value == pytest.approx(0.4)
 
 
-def test_without_violation_the_first_component_stands_for_its_family(solved) -> None:
+def test_without_violation_the_first_component_is_recorded(solved) -> None:
     grid, data = solved
     calm = data.copy(deep=True)
     calm["vm"][:] = 1.0
-    calm["vm"].loc[{"bus": "a", "time": 2.0}] = 1.05  # it comes closest to a limit
+    calm["vm"].loc[{"bus": "a", "time": 2.0}] = 1.05  # closest to its limit
     calm["vm"].loc[{"bus": "c", "time": 1.0}] = 1.09
     found = check(grid, calm, SERIES).violations["voltage"]
     assert (found.value, *place(found)) == (0.0, "a", 2.0)
 
 
-def test_the_ends_of_storages_meet_only_between_stages(solved) -> None:
+def test_energy_continuity_holds_between_stages_only(solved) -> None:
     grid, data = solved
     found = check(grid, data.isel(time=[2]), SERIES, first=2).violations["energy continuity"]
     assert (found.value, *place(found)) == (0.0, "battery", 2.0)
 
 
-# What is missing --------------------------------------------------------------------------------
+# Missing data -----------------------------------------------------------------------------------
 
 
-def test_a_missing_dispatch_breaks_its_limits_not_its_ramp(solved) -> None:
+def test_a_missing_dispatch_violates_limits_but_not_ramps(solved) -> None:
     grid, data = solved
     wrong = data.copy(deep=True)
     wrong["pg"].loc[{"generator": "cheap", "time": 2.0}] = np.nan
@@ -223,7 +223,7 @@ def test_a_missing_dispatch_breaks_its_limits_not_its_ramp(solved) -> None:
     assert found["ramp"].value < 1e-6
 
 
-def test_a_missing_number_hides_no_storage_that_charges_and_discharges_at_once(solved) -> None:
+def test_a_missing_number_does_not_hide_simultaneous_charging_and_discharging(solved) -> None:
     grid, data = solved
     grid = grid.copy()
     grid.other = om.Storage("d", energy=40, power=10, charge_efficiency=0.9)
@@ -236,7 +236,7 @@ def test_a_missing_number_hides_no_storage_that_charges_and_discharges_at_once(s
     assert place(report.violations["storage dynamics"]) == ("other", 1.0)
 
 
-def test_what_the_data_lack_counts_as_out_of_service(solved) -> None:
+def test_components_missing_from_the_data_count_as_out_of_service(solved) -> None:
     grid, data = solved
     report = check(grid, data.drop_sel(generator="dear"), SERIES)
     found, lacking = report.violations["active balance"], data["pg"].sel(generator="dear")
@@ -252,7 +252,7 @@ def test_what_the_data_lack_counts_as_out_of_service(solved) -> None:
     assert fewer.violations["active balance"].component in ("b", "d")
 
 
-def test_a_component_that_the_data_have_twice_is_refused(solved) -> None:
+def test_a_duplicate_component_in_the_data_is_refused(solved) -> None:
     grid, data = solved
     with pytest.raises(ResultError, match=r"generator: 'cheap'"):
         check(grid, data.sel(generator=["cheap", "dear", "cheap"]), SERIES)
@@ -265,10 +265,10 @@ def test_a_series_must_cover_the_stages(solved, key: str, stages: list[int]) -> 
     short = {**SERIES, key: np.full(4, 60.0)}
     with pytest.raises(ProfileError, match=rf"'{key}': has 4 values; 5 are needed"):
         check(grid, data.isel(time=stages), short, first=stages[0])
-    check(grid, data, {**SERIES, "mill.x": [1.0], "nobody.p": [1.0]})  # nothing reads these
+    check(grid, data, {**SERIES, "mill.x": [1.0], "nobody.p": [1.0]})  # series that are not used
 
 
-def test_limits_may_have_a_time_series_where_others_have_none(solved) -> None:
+def test_a_single_limit_may_have_a_time_series(solved) -> None:
     grid, data = solved
     limit = np.full(9, np.inf)
     limit[5] = float(data["pg"].sel(generator="dear")[3]) - 7
@@ -277,24 +277,24 @@ def test_limits_may_have_a_time_series_where_others_have_none(solved) -> None:
     assert found.physical == pytest.approx(7, abs=1e-6)
 
 
-def test_what_is_left_out_of_a_formulation_of_another_package(solved) -> None:
+def test_unchecked_items_of_a_formulation_from_another_package(solved) -> None:
     grid, data = solved
     other = data.assign_attrs(formulation="other")
     equations = "branch equations of the formulation 'other'"
-    balance = "balance of the buses: the results do not say what the branches draw"
+    balance = "bus balances: the results do not include the power of the branches"
     assert check(grid, other, SERIES).unchecked == (equations,)
     assert check(grid, other, SERIES).max_violation < 1e-6
     fewer = other.drop_vars(["vm", "va", "qf"])
     assert check(grid, fewer, SERIES).unchecked == (equations, "angle differences", "voltages", balance)
     assert not {"branch rating", "active balance"} & set(check(grid, fewer, SERIES).violations)
-    angles = check(grid, other.drop_vars("pf"), SERIES)  # need no flows
+    angles = check(grid, other.drop_vars("pf"), SERIES)  # angles need no flows
     assert angles.unchecked == (equations, balance)
     assert angles.violations["angle difference"] == check(grid, data, SERIES).violations["angle difference"]
 
 
 @dataclass(frozen=True)
 class Boiler(Component):
-    """A device of another package, which may feed power into the buses without reactive power."""
+    """A device from another package, which may inject active power without reactive power."""
 
     kind: ClassVar[str] = "boiler"
     plural: ClassVar[str] = "boilers"
@@ -303,14 +303,14 @@ class Boiler(Component):
     in_service: bool = flag(True)
 
 
-def test_what_devices_of_other_packages_feed_into_the_buses_counts(solved) -> None:
+def test_injections_of_devices_from_other_packages_count(solved) -> None:
     grid, data = solved
     grid = grid.copy()
     grid.idle = Boiler("a", in_service=False)
     assert check(grid, data, SERIES).unchecked == ()
     grid.boiler = Boiler("c")
     limits = "limits and cost of the boilers"
-    balance = "balance of the buses: the results do not say what the boilers draw"
+    balance = "bus balances: the results do not include the power of the boilers"
     assert check(grid, data, SERIES).unchecked == (limits, balance)
     fed = data["vm"].copy(data=np.zeros((5, 4)))
     fed.loc[{"bus": "c", "time": 3.0}] = -8.0
@@ -323,7 +323,7 @@ def test_what_devices_of_other_packages_feed_into_the_buses_counts(solved) -> No
     assert report.violations["reactive balance"].physical == pytest.approx(8, abs=1e-4)
 
 
-def test_an_island_of_the_copperplate_is_what_branches_in_service_connect() -> None:
+def test_copperplate_islands_are_connected_by_branches_in_service() -> None:
     grid = om.Network(base_mva=10)
     for bus in ("z", "m", "y", "a", "x", "elsewhere"):
         grid.add(bus, om.Bus())
@@ -344,7 +344,7 @@ def test_an_island_of_the_copperplate_is_what_branches_in_service_connect() -> N
     assert (found.physical, *place(found)) == (pytest.approx(3), "m", 1.0)
 
 
-# Any data ---------------------------------------------------------------------------------------
+# Arbitrary data ---------------------------------------------------------------------------------
 
 QUANTITIES = {
     "ac": {"bus": ("vm", "va", "p_shortage", "q_shortage", "p_surplus", "q_surplus")},
@@ -356,7 +356,7 @@ QUANTITIES = {
     "of another package": {"bus": ("vm", "va"), "branch": ("pf", "qf", "pt", "qt")},
 }
 REACTIVE = ("ac", "soc", "of another package")
-COMPUTED = {  # of these, rounding may decide which of two equal violations is the larger
+COMPUTED = {  # families where rounding may decide which of two equal violations is larger
     "active balance",
     "angle difference",
     "branch loss",
@@ -371,7 +371,7 @@ CENTRES = {"vm": (1.0, 0.1), "w": (1.0, 0.1), "wr": (1.0, 0.1), "wi": (0.0, 0.2)
 
 
 def drawn(formulation: str, seed: int, stages: int) -> xr.Dataset:
-    """Any trajectory of the grid of :func:`everything`, full of violations, on a lattice that makes ties."""
+    """A random trajectory of the grid of :func:`everything` with many violations, on a lattice to create ties."""
     grid, random = everything(), np.random.default_rng(seed)
     names = {k.kind: list(grid.of(k)) for k in (om.Bus, om.Branch, om.Generator, om.Storage)}
     quantities = {kind: list(chosen) for kind, chosen in QUANTITIES[formulation].items()}
@@ -413,7 +413,7 @@ def test_neither_the_order_nor_the_layout_of_the_data_matters(formulation: str, 
 @formulations
 @settings(max_examples=10)
 @seeds
-def test_it_finds_what_one_component_and_stage_at_a_time_shows(formulation: str, seed: int) -> None:
+def test_the_check_agrees_with_a_scalar_implementation(formulation: str, seed: int) -> None:
     grid, data = everything(), drawn(formulation, seed, 4)
     series = {
         **SERIES,
@@ -428,7 +428,7 @@ def test_it_finds_what_one_component_and_stage_at_a_time_shows(formulation: str,
     assert set(report.violations) == set(expected)
     order = list(grid)
     for family, found in report.violations.items():
-        # of several constraints at one place the largest, which is sorted last, is kept
+        # of several constraints at one place, keep the largest: it is sorted last
         excess = {(order.index(name), time): excess for name, time, excess in sorted(expected[family])}
         worst, where = max(0.0, *excess.values()), (order.index(found.component), found.time)
         assert found.physical == pytest.approx(worst, rel=1e-12, abs=1e-10), family

@@ -112,7 +112,7 @@ def test_run_saves_trajectories_summary_and_a_figure(call: Call, tmp_path: Path)
     assert len(json.loads(out)["figures"]) == 6
     assert all(Path(p).stat().st_size > 1000 for p in json.loads(out)["figures"])
     code, _, err = call("plot", out_folder, "--bus", "9")
-    assert (code, err) == (2, "error: no bus is named '9'; known are: 1, 2, 3, 4, 5\n")
+    assert (code, err) == (2, "error: no bus is named '9'; available: 1, 2, 3, 4, 5\n")
 
 
 def test_run_prints_a_short_table(call: Call, tmp_path: Path) -> None:
@@ -171,8 +171,8 @@ def test_list(call: Call) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("solve", "none.m"), "none.m: there is no such file"),
-        (("solve", "none.yaml"), "none.yaml: there is no such file"),
+        (("solve", "none.m"), "none.m: no such file"),
+        (("solve", "none.yaml"), "none.yaml: no such file"),
         (("run", CASE14), "a scenario file ends in .yaml"),
         (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
         (("solve", CASE14, "--solver", "nosuch"), "solver .*'nosuch'; available: .*ipopt"),
@@ -197,12 +197,12 @@ def test_list(call: Call) -> None:
             ("run", CASE5, "--set", "network.base_mva=1e308"),
             ":10:3: network.base_mva: 1e.308: must be a finite",
         ),
-        (("plot", "x" * 5000), "there is no such file"),
+        (("plot", "x" * 5000), "no such file"),
         (("plot", "/dev/zero"), "is a device"),
         (("frobnicate",), "No such command"),
         (("solve",), "Missing argument"),
         (("solve", CASE14, "--horizon", "x"), "Invalid value for '--horizon'"),
-        (("plot", "nowhere"), "there is no such file"),
+        (("plot", "nowhere"), "no such file"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(call: Call, arguments: tuple, message: str) -> None:

@@ -1,4 +1,4 @@
-"""CSV files: what is read of them, and what is refused at once."""
+"""CSV files: reading of columns, and immediate refusal of invalid files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_columns_have_values_and_lines(tmp_path: Path) -> None:
     assert read.place("b.p", 2).endswith("series.csv: line 7, column 'b.p': ")
 
 
-def test_columns_are_chosen(tmp_path: Path) -> None:
+def test_columns_are_selected(tmp_path: Path) -> None:
     path = write(tmp_path, TEXT)
     assert list(read_columns(path, headings=["hour"]).values) == ["hour"]
     assert list(read_columns(path, headings=["hour"], optional=["none", "issued"]).values) == [
@@ -46,7 +46,7 @@ def test_columns_are_chosen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "rest", [b"3,many\n", b"3,4,5\n", b"3,\xff\n", b"\0" * 100, b"\n" * 10 + b"1" * 200_000]
 )
-def test_nothing_is_read_beyond_the_rows_that_are_needed(tmp_path: Path, rest: bytes) -> None:
+def test_reading_stops_after_the_required_rows(tmp_path: Path, rest: bytes) -> None:
     rows = b"".join(b"%d,%d\n" % (row, row) for row in range(20_000))
     path = write(tmp_path, b"hour,a.p\n" + rows + rest)
     assert read_columns(path, 96).values["a.p"].tolist() == list(range(96))
@@ -55,7 +55,7 @@ def test_nothing_is_read_beyond_the_rows_that_are_needed(tmp_path: Path, rest: b
 
 
 @pytest.mark.parametrize("entry", ["inf", "-inf", "Infinity", "1e400", "-1e400"])
-def test_infinity_is_refused_unless_it_may_be_no_limit(tmp_path: Path, entry: str) -> None:
+def test_infinity_is_refused_unless_it_means_no_limit(tmp_path: Path, entry: str) -> None:
     path = write(tmp_path, f"a.p,a.rating\n1,1\n2,{entry}\n")
     with pytest.raises(ProfileError, match=f"line 3, column 'a.rating': '{entry}' is not a finite number"):
         read_columns(path)
@@ -66,29 +66,29 @@ def test_infinity_is_refused_unless_it_may_be_no_limit(tmp_path: Path, entry: st
     ("content", "message"),
     [
         ("a.p\n1\nnan\n", "line 3, column 'a.p': 'nan' is not a number"),
-        ("a.p,b.p\n1\n", "line 2, column 'b.p': nothing is not a number"),
-        ("a.p\n1,5\n", "line 2: 2 cells under 1 headings"),
+        ("a.p,b.p\n1\n", "line 2, column 'b.p': the value is missing"),
+        ("a.p\n1,5\n", "line 2: 2 cells for 1 headings"),
         ("a.p\n1\n", "1 rows; 3 are needed"),
         ("", "the file is empty"),
-        ("a.p, a.p\n", "line 1: two columns are headed 'a.p'"),
-        ("a\n1\n", "no column is headed 'component.field'.* columns are: a$"),
+        ("a.p, a.p\n", "line 1: duplicate column 'a.p'"),
+        ("a\n1\n", "no column is named 'component.field'.* columns are: a$"),
         (",".join(f"c{n}" for n in range(50_000)) + "\n", r".* c18, c19 \.\.\.$"),
         (f"a.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
-        (b"a.p\n\xff\n", "not a text file in UTF-8"),
+        (b"a.p\n\xff\n", "not UTF-8 text"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_line(tmp_path: Path, content: str | bytes, message: str) -> None:
+def test_errors_are_reported_with_their_line(tmp_path: Path, content: str | bytes, message: str) -> None:
     with pytest.raises(ProfileError, match=f"series.csv: {message}"):
         read_columns(write(tmp_path, content), 3, unlimited=True)
 
 
-def test_no_line_may_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_line_length_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(columns, "_LONGEST_LINE", 1000)
-    with pytest.raises(ProfileError, match="line 2: has more than 1,000 characters"):
+    with pytest.raises(ProfileError, match=r"line 2: .*1,000 characters"):
         read_columns(write(tmp_path, "a.p\n" + "1," * 1000))
 
 
-# Files that are none ----------------------------------------------------------------------------
+# Invalid files ----------------------------------------------------------------------------------
 
 NETWORK = "network: {buses: {a: {}}, generators: {g: {bus: a, p: [0, 9]}}, loads: {l: {bus: a, p: 1}}}\n"
 NAMED = {
@@ -117,7 +117,7 @@ for path in sys.argv[1:]:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes and devices")
 def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
-    """Whoever opens them otherwise waits, or reads without end."""
+    """Opening them naively would block or read forever."""
     pipe, folder = tmp_path / "pipe", tmp_path / "folder"
     os.mkfifo(pipe)
     folder.mkdir()
@@ -127,11 +127,11 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
         for use, text in NAMED.items():
             files.append(tmp_path / f"{number}-{use}.yaml")
             files[-1].write_text(NETWORK + text.replace("PATH", str(path)) + "\n")
-            expected.append(f"{path}: is {kind}; a regular file is needed")
+            expected.append(f"{path}: is {kind}; must be a regular file")
         for name in ("scenario.yaml", "study.yaml"):
             files.append(tmp_path / f"{number}-{name}")
             files[-1].symlink_to(path)
-            expected.append(f"{files[-1]}: is {kind}; a regular file is needed")
+            expected.append(f"{files[-1]}: is {kind}; must be a regular file")
     process = subprocess.Popen(
         [sys.executable, "-c", SCRIPT, *map(str, files)],
         stdin=subprocess.PIPE,
@@ -142,19 +142,19 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
     assert process.stdout is not None
     try:
         process.wait(120)  # standard input stays open
-        said = [json.loads(line) for line in process.stdout]
+        answers = [json.loads(line) for line in process.stdout]
     finally:
         process.kill()
         process.stdin.close()
         process.stdout.close()
-    for file, message, answer in zip(files, expected, said, strict=True):
+    for file, message, answer in zip(files, expected, answers, strict=True):
         assert answer.endswith(message), file.name
         assert answer.isprintable()
 
 
 @pytest.mark.parametrize("use", NAMED)
 @pytest.mark.parametrize("name", ["x" * 5000, "a\\0b", "none.csv"])
-def test_names_that_no_file_can_have(tmp_path: Path, use: str, name: str) -> None:
+def test_impossible_file_names(tmp_path: Path, use: str, name: str) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(NETWORK + NAMED[use].replace("PATH", f'"{name}"') + "\n")
     with pytest.raises(ScenarioError, match=r"cannot be read|no such file") as caught:

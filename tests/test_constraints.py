@@ -151,7 +151,7 @@ def test_a_constraint_of_some_stages_only_has_no_price() -> None:
         (lambda s: 3, {"at_most": 3}, "'own': must return a quantity .*, not 3"),
         (lambda s: s.generator.pg <= 3, {"at_most": 3}, "'own': .* comparison; omit at_least and at_most"),
         (lambda s: s.generators.pg <= 3, {}, "'own': .* kind 'generators'; did you mean 'gen"),
-        (lambda s: s.generator.pk <= 3, {}, "'own': generator has no quantity 'pk' here; did you mean|known are"),
+        (lambda s: s.generator.pk <= 3, {}, "'own': generator has no quantity 'pk' here; did you mean|available"),
         (lambda s: om.total(s.generator.pg) ** 2 <= 3, {}, "'own': a sum cannot be raised to a power"),
         (lambda s: om.total(s.generator.pg) / om.total(s.generator.pg) <= 3, {}, "'own': a sum .* divided by numbers"),
         (lambda s: s.generator.pg < 3, {}, "'own': a constraint cannot be strict; write <= or >="),
@@ -243,7 +243,7 @@ def test_a_limit_from_a_file(tmp_path: Path) -> None:
     assert scenario(tmp_path, text).problem.constraints["export"].at_most.tolist() == [80, 70, 60, 50]
     for old, new, message in (
         ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
-        ("limits.csv", "none.csv", "none.csv: there is no such file"),
+        ("limits.csv", "none.csv", "none.csv: no such file"),
         ("file:", "fiel:", "at_most: must be a number, a list, or {file: , column: }"),
     ):
         with pytest.raises(ScenarioError, match=message):
@@ -264,7 +264,7 @@ def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
         ("tie.pf", "tei.pf", ":14:20: constraints.export.terms.tei.pf: .*'tei'; did you mean 'tie'"),
         ("tie.pf", "branches.pf", "constraints.export.terms.branches.pf: .*'branches'; did you mean 'branch'"),
         ("tie.pf", "pf", "write kind.quantity"),
-        ("tie.pf", "tie.ps", "branch has no quantity 'ps' here; known are: angle_max, .*, pf, pt, r, rating"),
+        ("tie.pf", "tie.ps", "branch has no quantity 'ps' here; available: angle_max, .*, pf, pt, r, rating"),
         ("tie.pf", '"t*.vm"', "formulation 'dc' does not publish .*vm; formulations that do: ac, ac-rectangular$"),
         ("tie.pf", "bus.vm", ":14:20: .*formulation 'dc' does not publish bus.vm; formulations that do: ac, ac-"),
         ("tie.pf: 1", "tie.pf: x", ":14:20: constraints.export.terms.tie.pf: 'x': the factor must be a finite number"),

@@ -113,10 +113,10 @@ def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "the file is empty"),
-        ("hour\n1\n", "no column is headed 'component.field'"),
+        ("hour\n1\n", "no column is named 'component.field'"),
         ("hour,town.p\n", "has no row"),
         ("hour,town.p\n0,1\n1,many\n", "line 3, column 'town.p': 'many' is not a number"),
-        ("hour,town.p\n0\n", "line 2, column 'town.p': nothing is not a number"),
+        ("hour,town.p\n0\n", "line 2, column 'town.p': the value is missing"),
         ("town.p\n# a comment\n1\nmany\n", "line 4, column 'town.p': 'many' is not a number"),
         ("town.p\n1\ninf\n", "line 3, column 'town.p': 'inf' is not a finite number"),
         (f"town.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
@@ -132,7 +132,7 @@ def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ProfileError, match=r"none\.csv: there is no such file"):
+    with pytest.raises(ProfileError, match=r"none\.csv: no such file"):
         File(tmp_path / "none.csv")
 
 
@@ -245,13 +245,13 @@ def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("forecast: nosy", r"scenario.yaml:8:1: forecast: there is no forecast 'nosy'; did you mean 'noisy'"),
-        ("forecast: {noisy: {deviation: 0.1}}", "forecast 'noisy' needs the option 'seed'"),
+        ("forecast: {noisy: {deviation: 0.1}}", "forecast 'noisy' requires the option 'seed'"),
         (
             "forecast: {noisy: {deviaton: 0.1, seed: 1}}",
             r":8:20: forecast.noisy.deviaton: .*did you mean 'deviation'",
         ),
         ("forecast: {noisy: {deviation: -1, seed: 1}}", r":8:12: forecast.noisy: noisy: deviation = -1"),
-        ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: there is no such file"),
+        ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: no such file"),
     ],
 )
 def test_mistakes_in_a_scenario(tmp_path: Path, text: str, message: str) -> None:
@@ -307,7 +307,7 @@ def greedy(self, actual, time, stages):
     [
         (shortened, "expects one value per stage"),
         (forgetful, "expects every series that there is and no other"),
-        (undefined, "is not a number"),
+        (undefined, "nan: must be a number"),
         (moody, "the same when it is asked again, in another order"),
         (hurried, "expects the same for however many stages"),
         (greedy, "forecasts every step.*read-only"),

@@ -1,4 +1,4 @@
-"""MATPOWER files word by word: what MATLAB makes of them, or one clear error, and nothing in between."""
+"""MATPOWER files: read exactly as MATLAB does, or refused with one clear error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BRANCH = (
     "1	2	0.00281	0.0281	0.00712	400	400	400	0	0	1	-360	360;"  # on line 44
 )
 OTHER_COSTS = "mpc.gencost = [" + "2 0 0 2 99 0;" * 5 + "];"
-NO_CONSTANT = re.sub(r"(?<=\t2)\t([0-9]+)\t0;", r"\t\1;", CASE5)  # of costs, the last column is missing
+NO_CONSTANT = re.sub(r"(?<=\t2)\t([0-9]+)\t0;", r"\t\1;", CASE5)  # costs without their last column
 STORAGE = "mpc.storage = [\n1 0 0 20 100 50 40 0.9 0.95 0 -10 10 0 0 0 0 1;\n];\n"
 
 
@@ -41,7 +41,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-# What MATLAB refuses, and what a reader would coerce ---------------------------------------------
+# Input that MATLAB refuses or that a lenient parser would coerce -----------------------------------
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def written(folder: Path, text: str) -> Path:
         (replaced(COST, "2	0	0	2	NaN	0;"), 57, "gen1", "c1=nan"),
         (replaced(COST, ""), 56, "mpc.gencost", "4 rows for 5 generators"),
         (replaced(GENERATOR, "1.5" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 1.5:"),
-        (replaced(GENERATOR, "99" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 99: there is no such bus"),
+        (replaced(GENERATOR, "99" + GENERATOR[1:]), 34, "gen1", "GEN_BUS = 99: no such bus"),
         (replaced(GENERATOR, GENERATOR.replace("100	1", "100	0.5")), 34, "gen1", "GEN_STATUS = 0.5:"),
         (replaced(BRANCH, "1.5" + BRANCH[1:]), 44, "mpc.branch", "F_BUS = 1.5:"),
         (replaced(BRANCH, BRANCH.replace("1	2", "1	2.5")), 44, "mpc.branch", "T_BUS = 2.5:"),
@@ -70,7 +70,7 @@ def written(folder: Path, text: str) -> Path:
             "BR_STATUS = 2:",
         ),
         (replaced(BUS, "1.5" + BUS[1:]), 24, "mpc.bus", "BUS_I = 1.5:"),
-        (replaced(BUS, "2" + BUS[1:]), 25, "mpc.bus", "BUS_I = 2: there is a bus of this number already"),
+        (replaced(BUS, "2" + BUS[1:]), 25, "mpc.bus", "BUS_I = 2: duplicate"),
         (replaced(BUS, BUS.replace("1	2", "1	5")), 24, "mpc.bus", "BUS_TYPE = 5:"),
         (replaced(BUS, BUS.replace("1	2", "1	1.5")), 24, "mpc.bus", "BUS_TYPE = 1.5:"),
         (CASE5 + STORAGE.replace("\n1 0", "\n1.5 0"), 64, "mpc.storage", "STORAGE_BUS = 1.5:"),
@@ -93,12 +93,12 @@ def written(folder: Path, text: str) -> Path:
         (CASE5 + "eval('mpc.baseMVA = 3');", 63, "eval", "not understood"),
         (CASE5 + "mpc.bus{3} = 4;", 63, "mpc.bus{3}", "not understood"),
         (CASE5 + "if 1\n  mpc.baseMVA = 50;\nend", 64, "mpc.baseMVA", "'if 1'"),
-        (CASE5 + "for k = 1:3\nx = k;\n", 63, "for k = 1:3", "no end"),
+        (CASE5 + "for k = 1:3\nx = k;\n", 63, "for k = 1:3", "no matching"),
         (CASE5 + "%{\n" + OTHER_COSTS, 63, "%{", "%}"),
         (CASE5 + "mpc.storage = [\n1 2", 63, "mpc.storage", "no closing bracket"),
     ],
 )
-def test_what_is_not_plain_is_an_error_with_its_line(
+def test_invalid_entries_are_errors_with_their_line(
     text: str, line: int, who: str, value: str, tmp_path: Path
 ) -> None:
     path = written(tmp_path, text)
@@ -117,7 +117,7 @@ def test_the_line_is_right_after_a_continued_row(tmp_path: Path) -> None:
         om.read_network(path)
 
 
-# What MATLAB accepts -----------------------------------------------------------------------------
+# Input that MATLAB accepts -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_the_line_is_right_after_a_continued_row(tmp_path: Path) -> None:
         CASE5 + "return\n" + OTHER_COSTS,
     ],
 )
-def test_the_same_case_in_other_words(text: str, tmp_path: Path) -> None:
+def test_equivalent_spellings_of_a_case(text: str, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         network = om.read_network(written(tmp_path, text))
@@ -150,7 +150,7 @@ def test_the_same_case_in_other_words(text: str, tmp_path: Path) -> None:
     assert network.base_mva == 100
 
 
-def test_of_two_assignments_the_last_counts_as_in_matlab(tmp_path: Path) -> None:
+def test_the_last_of_two_assignments_counts_as_in_matlab(tmp_path: Path) -> None:
     path = written(
         tmp_path, replaced("mpc.baseMVA = 100;", "mpc.baseMVA = 50;\nmpc.baseMVA = 100;") + OTHER_COSTS
     )
@@ -167,14 +167,14 @@ def test_of_two_assignments_the_last_counts_as_in_matlab(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("statements", "what"),
     [
-        ("mpc.convdc = [1 2];", "mpc.convdc is not read"),
-        ("mpc.reserves.zones = [1 2];", "mpc.reserves is not read"),
+        ("mpc.convdc = [1 2];", "mpc.convdc is ignored"),
+        ("mpc.reserves.zones = [1 2];", "mpc.reserves is ignored"),
         ("mpc.bus(:, 3) = 2;", "'mpc.bus(:, 3) = 2' is not evaluated"),
         ("if 1\n  mpc.bus(:, 3) = 2; x = 4;\nend", "'if 1' is not evaluated"),
         ("mpc.gencost = [" + "2 0 0 2 14 0;" * 5 + "2 0 0 2 3 0;" * 5 + "];", "costs of reactive power"),
     ],
 )
-def test_what_has_no_effect_is_reported(statements: str, what: str, tmp_path: Path) -> None:
+def test_statements_without_effect_are_reported(statements: str, what: str, tmp_path: Path) -> None:
     path = written(tmp_path, CASE5.split("%%-----  OPF Data")[0] + STORAGE + OTHER_COSTS + "\n" + statements)
     line = path.read_text().count("\n", 0, path.read_text().index(statements)) + 1
     with pytest.warns(CaseWarning) as caught:
@@ -182,8 +182,8 @@ def test_what_has_no_effect_is_reported(statements: str, what: str, tmp_path: Pa
     assert any(str(w.message).startswith(f"{path}:{line}: ") and what in str(w.message) for w in caught)
 
 
-def test_what_the_reader_evaluates_is_not_reported() -> None:
-    """Distribution systems of MATPOWER convert their units at the end."""
+def test_evaluated_statements_are_not_reported() -> None:
+    """The distribution systems of MATPOWER convert their units at the end of the file."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         network = om.read_network(DATA / "matpower" / "case33bw.m")
@@ -194,13 +194,13 @@ def test_what_the_reader_evaluates_is_not_reported() -> None:
 
 
 def idle_unit(text: str, unit: str, cost: str) -> str:
-    """The case with a unit out of service before the others."""
+    """The case with an additional first generator that is out of service."""
     text = replaced("mpc.gen = [\n", f"mpc.gen = [\n{unit}\n", text)
     return replaced("mpc.gencost = [\n", f"mpc.gencost = [\n{cost}\n", text)
 
 
-def test_a_unit_out_of_service_with_broken_data_is_kept_and_noted(tmp_path: Path) -> None:
-    """As in most of PGLib's cases of active-power increase; the optimum is the published one."""
+def test_a_unit_out_of_service_with_invalid_data_is_kept_and_noted(tmp_path: Path) -> None:
+    """As in most of PGLib's active-power-increase cases; the optimum is the published one."""
     text = (DATA / "pglib" / "pglib_opf_case14_ieee__api.m").read_text()
     text = idle_unit(text, "1 5.4 0 9 -9 1 100 0 2 5.4;", "2 0 0 3 -1 0 0;")
     network = om.read_network(written(tmp_path, text))
@@ -223,14 +223,14 @@ def test_data_of_every_kind_out_of_service_are_kept_in_files(tmp_path: Path) -> 
     network.add("6", om.Bus(vm=(1.1, 0.9), **idle))
     network.add("storage1", om.Storage("1", energy=5, power=(3, 10), q=(1, -1), initial=99, **idle))
     network.add("load1", om.Load("1", p=math.inf, **idle))
-    with pytest.warns(CaseWarning, match="load1: MATPOWER has no status of loads"):
+    with pytest.warns(CaseWarning, match="load1: MATPOWER has no status for loads"):
         path = om.write_network(network, tmp_path / "idle.m")
     network.remove("load1")
     assert contents(om.read_network(path)) == contents(network)
 
 
 @pytest.mark.parametrize("cost", ["2 0 0 4 1 0 0 0", "2 0 0 5 0 1 0 0 0"])
-def test_a_unit_out_of_service_whose_cost_cannot_be_stated_is_left_out(cost: str, tmp_path: Path) -> None:
+def test_a_unit_out_of_service_with_an_unsupported_cost_is_left_out(cost: str, tmp_path: Path) -> None:
     width = len(cost.split())
     fill = " 0" * (width - 6)
     text = re.sub(r"(2\t0\t0\t2\t[0-9]+\t0);", rf"\1{fill};", CASE5)
@@ -248,7 +248,7 @@ Rows = list[list[float]]
 
 
 def matlab(text: str) -> dict[str, Rows | float | str]:
-    """What MATLAB makes of a case of plain numbers, read in the simplest way; an error where it stops."""
+    """A case of plain numbers as MATLAB reads it, by a minimal parser that raises where MATLAB stops."""
     words = re.findall(r"[\[\];,=\n]|'[^'\n]*'|[^\s\[\];,='\n]+|'", re.sub("%.*", "", text) + "\n")
     assigned: dict[str, Rows | float | str] = {}
     at = 0
@@ -272,7 +272,7 @@ def matlab(text: str) -> dict[str, Rows | float | str]:
 
 
 def value(words: list[str], at: int) -> tuple[Rows | float | str, int]:
-    """A table, number or string, and where the words go on."""
+    """A table, number or string, and the position of the next word."""
     if words[at] != "[":
         if words[at].startswith("'") and len(words[at]) > 1:
             return words[at], at + 1
@@ -301,7 +301,7 @@ def plain(word: str) -> float:
 
 
 def expected(case: dict) -> dict:
-    """The components of a case, after MATPOWER's manual."""
+    """Components of a case according to MATPOWER's manual."""
     found: dict[str, object] = {}
 
     def add(name: str, component: object) -> None:
@@ -327,7 +327,7 @@ def expected(case: dict) -> dict:
         )  # fmt: skip
     for i, (g, c) in enumerate(zip(case["mpc.gen"], case["mpc.gencost"], strict=False), start=1):
         count = int(c[3])
-        assert count == c[3] >= 1, "accepted, although it has no number of costs"
+        assert count == c[3] >= 1, "accepted without a valid number of cost coefficients"
         numbers = c[4 : 4 + count * (2 if c[0] == 1 else 1)]
         ramp = 2 * g[18] if len(g) > 18 and g[18] else None
         if c[0] == 1:
@@ -349,7 +349,7 @@ def expected(case: dict) -> dict:
 
 
 def mutated(text: str, rng: random.Random) -> str:
-    """The text with one word, two lines or its end changed."""
+    """Change one word of the text, swap two lines, or truncate it."""
     words = list(re.finditer(r"[^\s;]+|;", text))
     word = rng.choice(words[len(words) // 20 :])  # less often in the comments at the top
     kind = rng.choice(["delete", "double", "replace", "replace", "replace", "swap", "cut"])
@@ -389,7 +389,7 @@ def test_mutated_files_are_read_as_matlab_does_or_refused(case: str, tmp_path: P
             assert str(error).isprintable(), str(error)
             outcomes["refused"] += 1
             continue
-        assert meant is not None, (number, "read, although MATLAB refuses it", text)
+        assert meant is not None, (number, "read although MATLAB refuses it", text)
         assert repr(sorted(contents(network).items())) == repr(sorted(expected(meant).items())), number
         assert network.base_mva == meant["mpc.baseMVA"]
         outcomes["read"] += 1

@@ -530,14 +530,14 @@ def test_a_scenario_names_its_plant() -> None:
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
-        ({"mode": "ac"}, "plant.mode: there is no plant 'ac'; known are: nominal, power-flow, redispatch"),
+        ({"mode": "ac"}, "plant.mode: there is no plant 'ac'; available: nominal, power-flow, redispatch"),
         (
             {"shedding_price": 5.0},
-            "plant.shedding_price: plant 'nominal' has no option 'shedding_price'; known are: mode",
+            "plant.shedding_price: plant 'nominal' has no option 'shedding_price'; available: mode",
         ),
         (
             {"mode": "power-flow", "price": 5.0},
-            "plant.price: plant 'power-flow' has no option 'price'; known are: mode, participation",
+            "plant.price: plant 'power-flow' has no option 'price'; available: mode, participation",
         ),
         ({"mode": "redispatch", "price": -5.0}, "plant: redispatch: price = -5.0: must be a positive price"),
         ({"mode": "power-flow", "participation": {"gen9": 1.0}}, "no generator in service is named 'gen9'"),

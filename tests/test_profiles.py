@@ -1,4 +1,4 @@
-"""Time series: finite numbers, whoever states them."""
+"""Time series: values must be finite, whatever their source."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ network:
   loads: {l: {bus: b, p: 5, q: 1}}
 time: {steps: 3}
 """
-# what a rating, a ramp, and a reactive limit of a generator have in common
+# fields for which infinity means "no limit"
 NO_LIMIT = {"line.rating": np.inf, "g.ramp": np.inf, "g.q_max": np.inf, "g.q_min": -np.inf}
 
 
@@ -40,7 +40,7 @@ def test_series_in_python_are_finite(series: str, value: float) -> None:
     assert (str(caught.value.series), caught.value.step) == (series, 1)
 
 
-def test_infinity_is_no_limit_where_a_field_says_so() -> None:
+def test_infinity_means_no_limit_where_accepted() -> None:
     for series, value in NO_LIMIT.items():
         grid = two_bus()
         kind = {"line": "tie", "g": "coal"}[series.partition(".")[0]]
@@ -50,7 +50,7 @@ def test_infinity_is_no_limit_where_a_field_says_so() -> None:
             om.MultiStage(grid, 2, profiles={name: [0, -value]})
 
 
-def test_fields_that_can_be_without_limit() -> None:
+def test_fields_that_may_be_unlimited() -> None:
     found = {
         f"{kind.kind}.{key}{end}"
         for kind in BUILT_IN
@@ -108,7 +108,7 @@ def test_a_table_may_lift_limits(tmp_path: Path) -> None:
         ("plant: {mode: power-flow, participation: {g: .inf}}", ":8:43: plant.participation.g: .*inf: .*finite"),
     ],
 )  # fmt: skip
-def test_what_is_not_finite_has_its_place(tmp_path: Path, text: str, message: str) -> None:
+def test_non_finite_values_are_reported_with_their_location(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "t.csv").write_text("c\n1\ninf\n1\n")
     (tmp_path / "f.csv").write_text("l.p\n1\ninf\n1\n")
     with pytest.raises(ScenarioError, match=f"s.yaml{message}"):
@@ -117,7 +117,7 @@ def test_what_is_not_finite_has_its_place(tmp_path: Path, text: str, message: st
 
 def test_a_forecast_of_infinite_demand_is_refused() -> None:
     class Wild(om.Forecast):
-        """Expects too much."""
+        """Expects infinite demand."""
 
         def expected(self, actual: om.Profiles, time: int, stages: int) -> om.Profiles:
             return om.Profiles({("town", "p"): np.array([90.0, np.inf])})

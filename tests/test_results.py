@@ -1,4 +1,4 @@
-"""Files of a run: what is saved is read back, and damage is one sentence."""
+"""Files of a run: round trips, and detection of damage with a one-line error."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def run() -> om.Run:
 
 @pytest.fixture
 def folder(run: om.Run, tmp_path: Path) -> Path:
-    """A folder of a run."""
+    """A folder with a saved run."""
     save(run.data, run.summary(), tmp_path)
     return tmp_path
 
 
-def test_what_is_saved_is_read_back(run: om.Run, folder: Path) -> None:
+def test_saved_results_are_read_back(run: om.Run, folder: Path) -> None:
     for path in (folder, folder / "trajectories.nc"):
         xr.testing.assert_identical(load(path), run.data)
 
@@ -51,7 +51,7 @@ def test_the_summary_has_the_checksum_of_the_trajectories(run: om.Run, folder: P
 
 
 def zeroed(content: bytes) -> bytes:
-    """A block that the disk has lost."""
+    """The content with one block lost by the disk."""
     return content[:3200] + bytes(64) + content[3264:]
 
 
@@ -69,7 +69,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("summary", ["with a summary", "without"])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_trajectories_are_one_sentence(
+def test_damaged_trajectories_give_a_one_line_error(
     damage: str, summary: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = folder / "trajectories.nc"
@@ -77,8 +77,8 @@ def test_damaged_trajectories_are_one_sentence(
     if summary == "without":
         (folder / "summary.json").unlink()
         if damage == "zeroed":
-            pytest.skip("without a checksum the library has to find out")
-    printed: list[object] = []  # what Python would print of errors in destructors
+            pytest.skip("without a checksum, detection depends on the library")
+    printed: list[object] = []  # errors in destructors, which Python would print
     monkeypatch.setattr(sys, "unraisablehook", printed.append)
     with pytest.raises(ResultError) as caught:
         load(folder)
@@ -90,7 +90,7 @@ def test_damaged_trajectories_are_one_sentence(
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.integers(0, 1_000_000), bit=st.integers(0, 7))
-def test_any_flipped_bit_is_noticed(place: int, bit: int, folder: Path) -> None:
+def test_any_flipped_bit_is_detected(place: int, bit: int, folder: Path) -> None:
     path = folder / "trajectories.nc"
     sound = path.read_bytes()
     damaged = bytearray(sound)
@@ -103,12 +103,10 @@ def test_any_flipped_bit_is_noticed(place: int, bit: int, folder: Path) -> None:
         path.write_bytes(sound)
 
 
-def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
+def test_only_regular_files_are_read(folder: Path) -> None:
     path = folder / "trajectories.nc"
     path.unlink()
-    with pytest.raises(
-        ResultError, match=r"trajectories\.nc: there is no such file; 'opfmodel run' writes it"
-    ):
+    with pytest.raises(ResultError, match=r"trajectories\.nc: no such file; 'opfmodel run'"):
         load(folder)
     os.mkfifo(path)
     with pytest.raises(ResultError, match=r"trajectories\.nc: is a pipe"):
@@ -120,20 +118,20 @@ def test_what_is_no_regular_file_is_refused(folder: Path) -> None:
             load(name)
 
 
-def test_a_damaged_summary_is_one_sentence(folder: Path) -> None:
+def test_a_damaged_summary_gives_an_error(folder: Path) -> None:
     (folder / "summary.json").write_text("{")
     with pytest.raises(ResultError, match=r"summary\.json: not JSON"):
         load(folder)
 
 
-def test_other_data_are_no_result(run: om.Run, tmp_path: Path) -> None:
+def test_other_data_are_refused(run: om.Run, tmp_path: Path) -> None:
     path = tmp_path / "other.nc"
     run.data.drop_vars("pd").to_netcdf(path, engine="h5netcdf")
-    with pytest.raises(ResultError, match=r"other\.nc: not a result of opfmodel: it has no 'pd'"):
+    with pytest.raises(ResultError, match=r"other\.nc: not a result of opfmodel: 'pd'"):
         load(path)
 
 
-def test_a_run_that_replaces_another_leaves_no_summary_of_that(run: om.Run, folder: Path) -> None:
+def test_replacing_a_run_removes_the_old_summary(run: om.Run, folder: Path) -> None:
     class Killed(Exception):
         pass
 
@@ -147,9 +145,7 @@ def test_a_run_that_replaces_another_leaves_no_summary_of_that(run: om.Run, fold
     assert float(load(folder)["pd"].sum()) != float(run.data["pd"].sum())
 
 
-def test_figures_are_complete_or_not_there(
-    run: om.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures_are_written_atomically(run: om.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = save_figures(run.data, tmp_path, figures=["system"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["system.pdf", "system.png"]
     before = {path: path.read_bytes() for path in written}

@@ -136,7 +136,7 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("vary:", "varied:", r"study.yaml:2:1: varied: unknown key; did you mean 'variant' or 'vary'\?"),
         ("scenario: tiny.yaml", "scenario: 3", r"study.yaml:1:1: scenario: 3: input should be a valid string"),
         ("scenario: tiny.yaml\n", "", r"study.yaml:1:1: scenario: this key is missing"),
-        ("scenario: tiny.yaml", "scenario: none.yaml", r"study.yaml:1:1: scenario: .*none.yaml: there is no such file"),
+        ("scenario: tiny.yaml", "scenario: none.yaml", r"study.yaml:1:1: scenario: .*none.yaml: no such file"),
         ("scenario: tiny.yaml", "set: {variant: heavy}", r"set.variant: is a key of the study itself"),
         ("controller.horizon: [1", "controller.horizn: [1", r"study.yaml:3:23: .*did you mean 'horizon'\?"),
         ("[1, 2, 3]", "[1, 2, many]", r"study.yaml:3:30: .*'many': input should be a valid integer"),
@@ -145,7 +145,7 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("[1, 2, 3]", "4", r"study.yaml:3:3: .*must be a list of values, or a mapping from names"),
         ("measured: {}", "measured: 5", r"study.yaml:5:5: vary.demand.measured: must be a mapping"),
         ("measured: {}", "measured: {controller.horizon: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
-        ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: there is no such file"),
+        ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: no such file"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
         ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*valid integer"),
@@ -436,7 +436,7 @@ def test_a_variant_that_only_one_scenario_has_is_a_row(folder: Path) -> None:
     outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
     assert (outcome.done, outcome.failed) == (3, 1)
     assert outcome.failures["scenario=plain.yaml variant=heavy"].endswith(
-        "no variant 'heavy'; known are: none"
+        "no variant 'heavy'; available: none"
     )
 
 
@@ -662,9 +662,7 @@ def test_the_table_of_a_damaged_study_is_printed_with_a_warning(folder: Path) ->
 
 
 def test_a_folder_without_a_study_is_said(tmp_path: Path) -> None:
-    with pytest.raises(
-        ResultError, match=r"study.json: there is no such file; 'opfmodel study run' writes it"
-    ):
+    with pytest.raises(ResultError, match=r"study.json: .*no such file; 'opfmodel study run' writes it"):
         read_table(tmp_path)
 
 

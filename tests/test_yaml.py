@@ -1,4 +1,4 @@
-"""YAML: what words stand for, where values stand, and what is refused."""
+"""YAML: values of scalars, locations of values, and refused input."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def test_anchors_aliases_and_merge_keys() -> None:
     text = "base: &b {x: 1, y: 2}\nover: &o {y: 3, z: 4}\nc: {w: 0, <<: [*b, *o], y: 5}\nd: {<<: *o}\ne: *b\n'<<': 1\n"
     content = read(text)
     assert content["c"] == {"w": 0, "y": 5, "x": 1, "z": 4}
-    assert list(content["c"]) == ["w", "y", "x", "z"]  # its own first
+    assert list(content["c"]) == ["w", "y", "x", "z"]  # own keys first
     assert (content["d"], content["e"], content["<<"]) == ({"y": 3, "z": 4}, {"x": 1, "y": 2}, 1)
     assert read("a: &yes true\nb: *yes\n") == {"a": True, "b": True}
     assert read("a: &x 1\nb: &x 2\nc: *x\n*x : d")["c"] == 2
 
 
-def test_every_value_has_a_place() -> None:
+def test_every_value_has_a_location() -> None:
     text = "base: &b\n  x: 1\nlist:\n  - 5\n  - {k: v, <<: *b}\nalias: *b\nflow: [[é, 3],\n  4]\n"
     _, place = parse(text, "file")
     for key, where in (
@@ -77,7 +77,7 @@ def test_every_value_has_a_place() -> None:
         (("alias", "x"), (2, 3)),
         (("flow", 0, 1), (7, 12)),
         (("flow", 1), (8, 3)),
-        (("list", 7), (3, 1)),  # not there: the last on the way
+        (("list", 7), (3, 1)),  # missing: closest existing ancestor
         (("list", "k"), (3, 1)),
         (("none", "k"), (1, 1)),
         (("base", "x", "k", 0), (2, 3)),
@@ -91,8 +91,8 @@ def test_every_value_has_a_place() -> None:
         ("a: 1\nb: {c: 1, c: 2}", ":2:11: .*duplicate key 'c'"),
         ("1: a\n'1': b", ":2:1: .*duplicate key '1'"),
         ("a: &a {x: 1}\nc: {<<: *a, <<: *a}", ":2:13: .*duplicate merge key"),
-        ("c: {<<: 5}", ":1:9: a merge key takes a mapping"),
-        ("c: {<<: [5]}", ":1:9: a merge key takes a mapping"),
+        ("c: {<<: 5}", ":1:9: the value of a merge key must be a mapping"),
+        ("c: {<<: [5]}", ":1:9: the value of a merge key must be a mapping"),
         ("a: !t 3", ":1:4: the tag '!t' is not accepted"),
         ("a: !!python/object:os.system {}", ":1:4: the tag '!!python/object:os.system' is not"),
         ("a: !!omap [b: 1]", ":1:4: the tag '!!omap' is not"),
@@ -100,8 +100,8 @@ def test_every_value_has_a_place() -> None:
         ("a: !!binary aGVsbG8=", ":1:4: the tag '!!binary' is not"),
         ("a: !!timestamp 2019-07-22", ":1:4: the tag '!!timestamp' is not"),
         ("!!str a: 1", ":1:1: the tag '!!str' is not"),
-        ("? {a: b}\n: 1", ":1:3: a key is a word or a number"),
-        ("x: &x [1]\n*x : 1", ":2:1: a key is a word or a number"),
+        ("? {a: b}\n: 1", ":1:3: a key must be a word or a number"),
+        ("x: &x [1]\n*x : 1", ":2:1: a key must be a word or a number"),
         ("a: &x [*x]", ":1:8: no anchor 'x'"),
         ("a: *nope", ":1:4: no anchor 'nope'"),
         ("a: 1\n---\nb: 2", ":2:1: .*another document"),
@@ -124,17 +124,17 @@ def test_every_value_has_a_place() -> None:
         ("[" * 100_000, "not YAML|nested too deeply"),
         ("{a: " * 100_000, "not YAML|nested too deeply"),
         ("- " * 100_000, "nested too deeply"),
-        ("? " * 100_000, "a key is a word|nested too deeply"),
+        ("? " * 100_000, "a key must be a word|nested too deeply"),
     ],
 )  # fmt: skip
-def test_what_is_refused(text: str, message: str) -> None:
+def test_invalid_input_is_refused(text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=f"file.*{message}") as caught:
         read(text)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 500
 
 
-def test_aliases_cannot_stand_for_more_values_than_are_accepted() -> None:
+def test_the_expansion_of_aliases_is_limited() -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x]"]
     lines += [f"a{i}: &a{i} [" + ", ".join([f"*a{i - 1}"] * 8) + "]" for i in range(1, 10)]
     with pytest.raises(ScenarioError, match="expands to more than"):

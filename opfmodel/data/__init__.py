@@ -1,1 +1,1 @@
-"""Data from outside: the files they are read from, and their formats."""
+"""External data: opening files, and reading their formats."""

@@ -1,4 +1,4 @@
-"""Time series in CSV files, with a column for each."""
+"""Time series in the columns of CSV files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Columns", "read_columns"]
 Array = npt.NDArray[np.float64]
 Row = tuple[int, list[str]]
 
-_LONGEST_LINE = 10_000_000  # characters; a row of ten thousand components has 200,000
+_LONGEST_LINE = 10_000_000  # characters; a row for ten thousand components has 200,000
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Columns:
     Attributes
     ----------
     values
-        By heading, one value per row.
+        Values by column heading, one per row.
     lines
-        The line of the file that each row stands in, from 1.
+        Line number of each row in the file, from 1.
     """
 
     path: Path
@@ -42,7 +42,7 @@ class Columns:
     lines: Sequence[int]
 
     def place(self, heading: str, row: int) -> str:
-        """Where a value stands, as messages begin."""
+        """Location of a value, as the beginning of a message."""
         return f"{self.path}: line {self.lines[row]}, column {heading!r}: "
 
 
@@ -54,26 +54,26 @@ def read_columns(
     optional: Collection[str] = (),
     unlimited: bool = False,
 ) -> Columns:
-    """Read columns of a CSV file, and no further than the rows that are needed.
+    """Read columns of a CSV file, stopping after the required number of rows.
 
     Lines that begin with ``#`` are comments.
 
     Parameters
     ----------
     rows
-        How many rows are needed; all if it is None. What follows them is not read.
+        Number of required rows, None for all. The rest of the file is not read.
     headings
-        The columns that are wanted; by default all whose heading has a dot.
+        Columns to read; by default all columns whose heading contains a dot.
     optional
-        Columns that are taken as well if the file has them.
+        Additional columns to read if the file contains them.
     unlimited
-        Whether infinity is accepted, where a value may stand for "no limit".
+        Whether infinity is accepted, meaning "no limit".
 
     Raises
     ------
     ProfileError
-        The file cannot be read, is too short, lacks a column, has two of one heading, or has an entry
-        that is not a number or a row with more cells than headings; the message names the line.
+        The file cannot be read, is too short, lacks a column, has duplicate headings, an entry that is
+        not a number, or a row with more cells than headings. The message gives the line.
     """
     with open_text(path, ProfileError) as stream:
         table = _rows(path, stream)
@@ -101,7 +101,7 @@ def read_columns(
 
 
 def _rows(path: Path, stream: TextIO) -> Iterator[Row]:
-    """Rows with the number of their line, without comments and empty lines."""
+    """Rows with their line numbers, without comments and empty lines."""
     reader = csv.reader(_lines(path, stream))
     try:
         for row in reader:
@@ -112,24 +112,26 @@ def _rows(path: Path, stream: TextIO) -> Iterator[Row]:
 
 
 def _lines(path: Path, stream: TextIO) -> Iterator[str]:
-    """Lines of a file, none of which may fill the memory."""
+    """Lines of a file, limited in length to bound memory use."""
     number = 0
     while line := stream.readline(_LONGEST_LINE):
         number += 1
         if len(line) == _LONGEST_LINE:
-            raise ProfileError(f"{path}: line {number}: has more than {_LONGEST_LINE:,} characters")
+            raise ProfileError(
+                f"{path}: line {number}: too long; at most {_LONGEST_LINE:,} characters are accepted"
+            )
         yield line
 
 
 def _headings(path: Path, table: Iterator[Row]) -> tuple[int, dict[str, int]]:
-    """Number of columns, and the column of each heading."""
+    """Number of columns, and position of each heading."""
     number, row = next(table, (0, []))
     if not row:
         raise ProfileError(f"{path}: the file is empty")
     positions: dict[str, int] = {}
     for position, heading in enumerate(map(str.strip, row)):
         if heading and heading in positions:
-            raise ProfileError(f"{path}: line {number}: two columns are headed {heading!r}")
+            raise ProfileError(f"{path}: line {number}: duplicate column {heading!r}")
         positions[heading] = position
     return len(row), positions
 
@@ -138,7 +140,7 @@ def _wanted(path: Path, found: Collection[str], headings: Sequence[str] | None) 
     wanted = [heading for heading in found if "." in heading] if headings is None else list(headings)
     if not wanted:
         raise ProfileError(
-            f"{path}: no column is headed 'component.field', such as 'town.p'; {_listing(found)}"
+            f"{path}: no column is named 'component.field', for example 'town.p'; {_listing(found)}"
         )
     for heading in wanted:
         if heading not in found:
@@ -153,11 +155,12 @@ def _listing(found: Collection[str]) -> str:
 def _check_width(path: Path, number: int, row: Sequence[str], width: int) -> None:
     if len(row) > width and any(cell.strip() for cell in row[width:]):
         raise ProfileError(
-            f"{path}: line {number}: {len(row)} cells under {width} headings; a number is "
-            "written with a point, and a row has one per column"
+            f"{path}: line {number}: {len(row)} cells for {width} headings; use a decimal point and "
+            "one number per column"
         )
 
 
 def _fault(row: Sequence[str], position: int, value: float) -> str:
-    entry = repr(row[position]) if position < len(row) else "nothing"
-    return f"{entry} is not a number" if math.isnan(value) else f"{entry} is not a finite number"
+    if position >= len(row):
+        return "the value is missing"
+    return f"{row[position]!r} is not a {'' if math.isnan(value) else 'finite '}number"

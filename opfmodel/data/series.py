@@ -1,4 +1,4 @@
-"""Time series of component fields: the container that everything else reads."""
+"""Container of the time series of component fields."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 class SeriesKey(NamedTuple):
-    """What a series is of: a component and a field of its table, written ``component.field``.
+    """Component and field of a time series, written ``component.field``.
 
     Examples
     --------
@@ -29,18 +29,18 @@ class SeriesKey(NamedTuple):
 
     @classmethod
     def of(cls, key: object) -> SeriesKey:
-        """The key of a text ``component.field`` or of a pair.
+        """Make a key from a string ``component.field`` or a pair.
 
         Raises
         ------
         ProfileError
-            The text has no component or no field.
+            The component or the field is missing.
         """
         if isinstance(key, tuple) and len(key) == 2:
             return cls(str(key[0]), str(key[1]))
         component, dot, field = str(key).rpartition(".")
         if not (dot and component and field):
-            raise ProfileError(f"profile {key!r}: write 'component.field', for instance 'town.p'")
+            raise ProfileError(f"profile {key!r}: must be 'component.field', for example 'town.p'")
         return cls(component, field)
 
     def __str__(self) -> str:
@@ -48,20 +48,21 @@ class SeriesKey(NamedTuple):
 
 
 class Profiles(Mapping[SeriesKey, Array]):
-    """Values of some fields of some components over time, in physical units.
+    """Time series of component fields in physical units.
 
-    A mapping from :class:`SeriesKey` to one value per time step; texts ``component.field`` are keys, too.
+    A mapping from :class:`SeriesKey` to one value per time step. Strings ``component.field`` also serve
+    as keys.
 
     Parameters
     ----------
     series
-        By component name and field of its table (``p`` of a load, ``p_max`` or ``c1`` of a generator,
-        ``rating`` of a branch).
+        Values by component and field (``p`` of a load, ``p_max`` or ``c1`` of a generator, ``rating`` of
+        a branch).
 
     Raises
     ------
     ProfileError
-        A key without a field, or values that are not a vector of numbers.
+        A key has no field, or values are not a vector of numbers.
 
     Examples
     --------
@@ -78,12 +79,12 @@ class Profiles(Mapping[SeriesKey, Array]):
 
     @classmethod
     def of(cls, series: Mapping[Any, npt.ArrayLike] | None) -> Profiles:
-        """Profiles as they are, or made of a mapping.
+        """Return profiles unchanged, or make them from a mapping.
 
         Raises
         ------
         ProfileError
-            It is no mapping, or not one of vectors of numbers by ``component.field``.
+            The argument is not a mapping from ``component.field`` to vectors of numbers.
         """
         if isinstance(series, Profiles):
             return series
@@ -108,16 +109,16 @@ class Profiles(Mapping[SeriesKey, Array]):
 
     @property
     def series(self) -> Mapping[SeriesKey, Array]:
-        """The series by key."""
+        """Values by key."""
         return self._series
 
     @property
     def length(self) -> int | None:
-        """Number of time steps that every series covers; None if there are no series."""
+        """Number of time steps covered by all series; None without series."""
         return min((len(values) for values in self.values()), default=None)
 
     def steps(self, chosen: slice | npt.NDArray[np.integer[Any]]) -> Profiles:
-        """The values of some steps; series that end before are cut."""
+        """Select time steps; shorter series are truncated."""
         return Profiles({key: values[chosen] for key, values in self.items()})
 
 
@@ -127,12 +128,10 @@ def _vector(key: SeriesKey, values: Any) -> Array:
     except (TypeError, ValueError, OverflowError):
         raise ProfileError(f"profile '{key}': the values must be numbers", key) from None
     if array.ndim != 1:
-        raise ProfileError(
-            f"profile '{key}': one value per time step is expected, not shape {array.shape}", key
-        )
+        raise ProfileError(f"profile '{key}': has shape {array.shape}; must be one value per time step", key)
     if np.isnan(array).any():
         step = int(np.argmax(np.isnan(array)))
-        raise ProfileError(f"profile '{key}': step {step} is not a number", key, step)
+        raise ProfileError(f"profile '{key}': step {step}: nan: must be a number", key, step)
     array = array.copy() if array is values or array.base is not None else array
-    array.flags.writeable = False  # nobody changes what has been checked
+    array.flags.writeable = False  # it has been checked
     return array

@@ -1,9 +1,9 @@
-"""YAML 1.2 as plain data that remembers where each value stands.
+"""YAML 1.2 parser that returns plain data together with the location of each value.
 
-Data are built from the events of libyaml, which is C: a million values take two seconds. The composer and the
-constructors of the library, which know YAML 1.1 and build objects, are not used. What a plain word stands for
-is the core schema of YAML 1.2 (``yes``, ``on`` and dates are text, ``012`` is twelve), with underscores in
-numbers and the merge key ``<<``.
+Data are built from the events of libyaml, a C library that reads a million values in two seconds. The
+composer and constructors of PyYAML are not used because they implement YAML 1.1 and construct objects.
+Plain scalars follow the core schema of YAML 1.2 (``yes``, ``on`` and dates are strings, ``012`` is
+twelve), extended by underscores in numbers and the merge key ``<<``.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from opfmodel.errors import ScenarioError, name_fault, shown
 
 __all__ = ["MOST_LEVELS", "Place", "parse"]
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # a PyYAML built without libyaml is slow, not wrong
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # without libyaml, PyYAML is slow but correct
 MOST_LEVELS = 50
-_MOST_VALUES = 2_000_000  # a few nested aliases can stand for more values than there are atoms
+_MOST_VALUES = 2_000_000  # a few nested aliases can expand to astronomically many values
 _MOST_DIGITS = 100
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -35,17 +35,17 @@ _INTEGER = re.compile(
     r"[-+]?(?:(0b_*[01][01_]*)|(0o_*[0-7][0-7_]*)|(0x_*[0-9a-fA-F][0-9a-fA-F_]*)|[0-9][0-9_]*)"
 )
 _FLOAT = re.compile(r"[-+]?(?:[0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*|[0-9][0-9_]*(?=[eE]))(?:[eE][-+]?[0-9]+)?")
-_BASES = {None: 10, 1: 2, 2: 8, 3: 16}  # by the group of the expression that matched
+_BASES = {None: 10, 1: 2, 2: 8, 3: 16}  # by the group that matched
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Place(NamedTuple):
-    """Where a value stands, or the key that it has, and where the values inside it do.
+    """Location of a value or its key in a file, with the locations of nested values.
 
     Attributes
     ----------
     line, column
-        From 1.
+        Numbered from 1.
     """
 
     line: int
@@ -53,7 +53,7 @@ class Place(NamedTuple):
     inside: Mapping[str, Place] | Sequence[Place] = ()
 
     def at(self, key: Sequence[str | int]) -> Place:
-        """The place of a value inside; of one that is not there the last on the way to it."""
+        """Location of a nested value, or of its closest existing ancestor."""
         place = self
         for part in key:
             inside: Any = place.inside
@@ -65,26 +65,26 @@ class Place(NamedTuple):
 
 
 def parse(text: str, source: str) -> tuple[Any, Place]:
-    """Dictionaries, lists, strings, numbers, booleans and None, and where they stand.
+    """Parse YAML into dictionaries, lists, strings, numbers, Booleans and None, with their locations.
 
     Parameters
     ----------
     source
-        What messages begin with: the name of the file.
+        Name of the file, with which messages begin.
 
     Raises
     ------
     ScenarioError
-        The text is not YAML 1.2, has a key twice or one that is not a word or a number, a tag, an integer
-        of more than 64 bits, more than fifty levels or two million values; the message names line and
-        column.
+        The text is not YAML 1.2, or contains a duplicate key, a key that is not a scalar, a tag, an
+        integer of more than 64 bits, more than fifty levels or more than two million values. The message
+        gives line and column.
     """
     try:
         content, inside = _Reader(text, source).document()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         if error.context_mark is not None and mark.index >= len(text.rstrip()):
-            mark = error.context_mark  # the end of the file says less than the place of what was not closed
+            mark = error.context_mark  # point to the unclosed item, not to the end of the file
         where = f"{mark.line + 1}:{mark.column + 1}"
         raise ScenarioError(f"{source}:{where}: not YAML: {error.problem}") from None
     except (yaml.YAMLError, UnicodeEncodeError):
@@ -101,7 +101,7 @@ def _unprintable(text: str, source: str) -> str:
 
 
 class _Node(NamedTuple):
-    """A value, the places inside it, and how many values it is."""
+    """A value, the locations inside it, and the number of values it contains."""
 
     value: Any
     inside: Any
@@ -109,7 +109,7 @@ class _Node(NamedTuple):
 
 
 class _Reader:
-    """Makes plain data of the events of a parser."""
+    """Build plain data from parser events."""
 
     def __init__(self, text: str, source: str) -> None:
         self.source = source
@@ -118,28 +118,28 @@ class _Reader:
         self.count = 0
 
     def document(self) -> tuple[Any, Any]:
-        """The value of the only document, None if there is none, and the places inside it."""
+        """Value of the only document, None if there is none, and the locations inside it."""
         next(self.events)
         begin = next(self.events)
         if isinstance(begin, yaml.StreamEndEvent):
             return None, ()
         if begin.version not in (None, (1, 2)):
             number = ".".join(map(str, begin.version))
-            self.refuse(begin, f"the document is of YAML {number}; YAML 1.2 is read")
+            self.refuse(begin, f"the document is YAML {number}; must be YAML 1.2")
         node = self.node(next(self.events), 0)
         next(self.events)
         after = next(self.events)
         if isinstance(after, yaml.DocumentStartEvent):
-            self.refuse(after, "not YAML: but found another document")
+            self.refuse(after, "not YAML: found another document; only one is accepted")
         return node.value, node.inside
 
     def refuse(self, event: Any, message: str) -> NoReturn:
-        """Raise an error that names the position of an event."""
+        """Raise an error at the position of an event."""
         mark = event.start_mark
         raise ScenarioError(f"{self.source}:{mark.line + 1}:{mark.column + 1}: {message}")
 
     def node(self, event: Any, level: int) -> _Node:
-        """The value that an event begins."""
+        """Value that begins with an event."""
         if isinstance(event, yaml.AliasEvent):
             return self.anchored(event)
         self.check_tag(event)
@@ -159,27 +159,27 @@ class _Reader:
         return node
 
     def check_tag(self, event: Any) -> None:
-        """Refuse tags, which make more than data of a value."""
+        """Refuse tags, which could construct objects."""
         if event.tag is not None:
             tag = event.tag.replace("tag:yaml.org,2002:", "!!", 1)
-            self.refuse(event, f"the tag {shown(tag)} is not accepted; plain data only")
+            self.refuse(event, f"the tag {shown(tag)} is not accepted; use plain data")
 
     def add(self, event: Any, size: int) -> None:
-        """Count values."""
+        """Count values, and refuse too many."""
         self.count += size
         if self.count > _MOST_VALUES:
-            self.refuse(event, f"expands to more than {_MOST_VALUES} values; too many aliases?")
+            self.refuse(event, f"expands to more than {_MOST_VALUES:,} values; use fewer values or aliases")
 
     def anchored(self, event: Any) -> _Node:
-        """What an alias stands for."""
+        """Value that an alias refers to."""
         if event.anchor not in self.anchors:
-            self.refuse(event, f"no anchor {event.anchor!r} ends before this alias of it")
+            self.refuse(event, f"no anchor {event.anchor!r} is complete before this alias")
         node = self.anchors[event.anchor]
         self.add(event, node.size)
         return node
 
     def sequence(self, level: int) -> tuple[list[Any], list[Place]]:
-        """Values until the end of a sequence."""
+        """Values and locations up to the end of a sequence."""
         values, places = [], []
         while not isinstance(event := next(self.events), yaml.SequenceEndEvent):
             node = self.node(event, level)
@@ -188,7 +188,7 @@ class _Reader:
         return values, places
 
     def mapping(self, level: int) -> tuple[dict[str, Any], dict[str, Place]]:
-        """Keys and values until the end of a mapping; its own keys stand before those that it merges."""
+        """Keys and values up to the end of a mapping; its own keys precede merged keys."""
         values: dict[str, Any] = {}
         places: dict[str, Place] = {}
         merged: list[_Node] | None = None
@@ -210,18 +210,18 @@ class _Reader:
         return values, places
 
     def merged(self, level: int) -> list[_Node]:
-        """The mappings that a merge key names, one or a sequence of them; the first has precedence."""
+        """Mappings referenced by a merge key: one, or a sequence in order of precedence."""
         event = next(self.events)
         node = self.node(event, level)
         nodes = [node]
         if isinstance(node.value, list):
             nodes = [_Node(v, at.inside, 1) for v, at in zip(node.value, node.inside, strict=True)]
         if not all(isinstance(each.value, dict) for each in nodes):
-            self.refuse(event, "a merge key takes a mapping, or a list of mappings")
+            self.refuse(event, "the value of a merge key must be a mapping or a list of mappings")
         return nodes
 
     def key(self, event: Any) -> str:
-        """A key as text; whole numbers have one spelling, so that ``1`` and ``01`` are the same name."""
+        """Key as a string; integers are normalized, so ``1`` and ``01`` are the same name."""
         if isinstance(event, yaml.AliasEvent):
             value = self.anchored(event).value
             text = str(value)
@@ -235,13 +235,13 @@ class _Reader:
             value = {}
             text = ""
         if isinstance(value, dict | list):
-            self.refuse(event, "a key is a word or a number, not a mapping or a list")
+            self.refuse(event, "a key must be a word or a number, not a mapping or a list")
         if fault := name_fault(text):
             self.refuse(event, f"the key {shown(text)} {fault}")
         return text
 
     def scalar(self, event: Any) -> Any:
-        """The value of a word: text if it is quoted, else what the core schema says."""
+        """Value of a scalar: a string if quoted, otherwise resolved by the core schema."""
         text: str = event.value
         if not event.implicit[0]:
             return text

@@ -1,4 +1,4 @@
-"""Networks: declared components, their arrays in per unit, the equations of branches, and files."""
+"""Networks: declared components, their per-unit arrays, branch equations, and network files."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Per-unit arrays of a network: the one place where declarations become numbers.
+"""Per-unit arrays of a network, the only place where declarations are converted to arrays.
 
-:func:`per_unit` drops what is out of service, finds islands, settles one reference bus for each,
-and lays out every kind of component as a :class:`Table` of arrays.
+:func:`per_unit` removes components out of service, finds islands, selects one reference bus for each,
+and lays out each kind of component as a :class:`Table` of arrays.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
-# Capacity in per unit on the declared base: households on 100 MVA, and continents, lie in between.
+# Plausible capacity in per unit on the declared base, from single households on 100 MVA to continents.
 _SMALLEST, _LARGEST = 1e-5, 1e4
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """All components of one kind as arrays in per unit; fields are attributes.
+    """All components of one kind as per-unit arrays, which are available as attributes.
 
-    A quantity has the shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
-    gives ``p_min`` and ``p_max``; a cost gives ``c2``, ``c1``, ``c0`` and, for piecewise-linear costs, a
-    row per segment in ``segment_slope`` and ``segment_offset``. What is no quantity is a vector: positions
-    of buses (``bus``), of the owners of segments (``segment_owner``), and flags.
+    A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
+    gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
+    per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
+    owners of segments (``segment_owner``) and flags are vectors.
 
     Attributes
     ----------
     names
         Names of the components.
     units
-        Physical unit of each quantity that a component declares.
+        Physical unit of each declared quantity.
     """
 
     kind: type[Component]
@@ -71,13 +71,13 @@ class Table:
         return {name: i for i, name in enumerate(self.names)}
 
     def with_series(self, series: Mapping[str, Array]) -> Table:
-        """The table with some fields replaced by time series in per unit, ``(items, stages)``."""
+        """Return the table with fields replaced by per-unit time series of shape ``(items, stages)``."""
         return replace(self, arrays={**self.arrays, **series}) if series else self
 
 
 @dataclass(frozen=True, eq=False)
 class PerUnitNetwork:
-    """A network as arrays.
+    """A network as per-unit arrays.
 
     Attributes
     ----------
@@ -86,15 +86,16 @@ class PerUnitNetwork:
     declared_mva
         Base on which the network declares its impedances.
     tables
-        A table per kind of component, also for kinds without components among the built-in ones.
+        One table per kind of component, including built-in kinds without components.
     island
-        Island of each bus.
+        Index of the island of each bus.
     reference
         Position of the reference bus of each island.
     notes
-        What was left out or chosen, in words; also which components out of service break a rule.
+        Messages about removed components, selected reference buses, and components out of service
+        with invalid data.
     left_out
-        Names of the components that are out of service or at a bus that is.
+        Names of the components that are out of service or connected to a bus out of service.
     """
 
     name: str
@@ -143,7 +144,7 @@ class PerUnitNetwork:
 
     @property
     def rebased(self) -> float:
-        """One unit of power inside in per unit on the declared base, for weights that are declared on it."""
+        """One internal unit of power, in per unit on the declared base; converts declared weights."""
         return self.base_mva / self.declared_mva
 
     @property
@@ -167,13 +168,13 @@ class PerUnitNetwork:
         )
 
     def at_buses(self, kind: str, values: Array) -> Array:
-        """Sum of values of one kind of component at each bus: ``(items, ...) -> (buses, ...)``."""
+        """Sum the values of one kind of component at each bus: ``(items, ...) -> (buses, ...)``."""
         out = np.zeros((len(self.bus), *values.shape[1:]))
         np.add.at(out, self.tables[kind].bus, values)
         return out
 
     def with_series(self, series: Mapping[tuple[str, str], Array]) -> PerUnitNetwork:
-        """The network with time series, by ``(kind, field)``, in place of constant fields."""
+        """Return the network with constant fields replaced by time series, by ``(kind, field)``."""
         tables = dict(self.tables)
         for kind in {k for k, _ in series}:
             tables[kind] = tables[kind].with_series({f: a for (k, f), a in series.items() if k == kind})
@@ -181,14 +182,14 @@ class PerUnitNetwork:
 
 
 def per_unit(network: Network) -> PerUnitNetwork:
-    """Lay out a network as per-unit arrays, which nothing may write to; once, until the network changes.
+    """Lay out a network as read-only per-unit arrays, cached until the network changes.
 
     Raises
     ------
     ComponentError
-        A component names a bus that does not exist.
+        A component refers to a bus that does not exist.
     NetworkError
-        There is no bus in service.
+        No bus is in service.
     """
     return network.derived(_lay_out)
 
@@ -251,7 +252,7 @@ def _lay_out(network: Network) -> PerUnitNetwork:
 
 
 def _absurd_base(network: Network) -> list[str]:
-    """A note where the base of the impedances does not suit the size of the system."""
+    """Note a base of the impedances that is implausible for the size of the system."""
     size = network.capacity_mva / network.base_mva
     if not size or _SMALLEST <= size <= _LARGEST:
         return []
@@ -262,7 +263,7 @@ def _absurd_base(network: Network) -> list[str]:
 
 
 def _broken_rules(network: Network) -> Iterator[str]:
-    """A note on the components out of service that cannot be put in service as they are."""
+    """Note components out of service whose data break a rule."""
     broken: dict[str, ComponentError] = {}
     for name in network:
         if not network[name].in_service:
@@ -272,7 +273,7 @@ def _broken_rules(network: Network) -> Iterator[str]:
                 broken[name] = error
     if broken:
         first = next(iter(broken.values()))
-        yield f"out of service with data that break a rule: {listed(map(repr, broken))}; {first}"
+        yield f"out of service, with invalid data: {listed(map(repr, broken))}; {first}"
 
 
 def _check_buses(network: Network) -> None:
@@ -281,24 +282,24 @@ def _check_buses(network: Network) -> None:
         component = network[name]
         for key, bus in zip(component.bus_fields(), component.buses, strict=True):
             if bus not in known:
-                raise ComponentError(name, key, bus, f"there is no such bus; {nearest(bus, known)}")
+                raise ComponentError(name, key, bus, f"no such bus; {nearest(bus, known)}")
 
 
 def _reference(
     members: list[str], buses: Mapping[str, Bus], kept: Mapping[str, Component]
 ) -> tuple[str, str]:
-    """The reference bus of an island and a note if it was not simply the declared one."""
+    """Select the reference bus of an island, with a note unless exactly one is declared."""
     declared = [b for b in members if buses[b].reference]
     if len(declared) == 1:
         return declared[0], ""
     if declared:
-        return declared[0], f"several reference buses in one island; {declared[0]!r} is taken"
+        return declared[0], f"several reference buses in one island; {declared[0]!r} is used"
     capacity = dict.fromkeys(members, -np.inf)
     for component in kept.values():
         if isinstance(component, Generator) and component.bus in capacity:
             capacity[component.bus] = max(capacity[component.bus], component.p[1])
     chosen = max(members, key=lambda b: capacity[b])
-    return chosen, f"no reference bus declared in the island of {members[0]!r}; {chosen!r} is taken"
+    return chosen, f"no reference bus declared in the island of {members[0]!r}; {chosen!r} is used"
 
 
 def _table(
@@ -355,5 +356,5 @@ def _cost_arrays(costs: list[Cost], base_mva: float) -> dict[str, npt.NDArray[An
 
 
 def _column(values: list[float]) -> Array:
-    """One value per item, ``(items, 1)``."""
+    """Make an array ``(items, 1)``."""
     return np.array(values, dtype=float).reshape(-1, 1)

@@ -1,19 +1,20 @@
-"""Which numbers are accepted at all."""
+"""Limits of the numbers that are accepted."""
 
 from __future__ import annotations
 
 __all__ = ["BASE_MVA", "LARGEST", "STEP_HOURS", "bounded"]
 
-# Largest magnitude of a finite number in any unit. What is larger is no quantity of a power system, and a
-# product of eight numbers of this size is still finite.
+# Maximum magnitude of a finite number in any unit. No power-system quantity is larger, and the product of
+# eight such numbers is still finite.
 LARGEST = 1e30
-# Least and largest power base, and length of a stage in hours, that per-unit quantities and energies survive.
+# Minimum and maximum of the power base in MVA and of the stage length in hours; within them, per-unit
+# quantities and energies remain computable.
 BASE_MVA = (1e-6, 1e9)
 STEP_HOURS = (1e-6, 1e6)
 
 
 def bounded(value: float) -> bool:
-    """Whether a number is finite and at most :data:`LARGEST` in magnitude; false of what is not a number.
+    """Whether a number is finite and at most :data:`LARGEST` in magnitude; False for NaN.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a component is: a dataclass whose fields say how they are checked and laid out."""
+"""Base class of components: dataclasses whose fields describe their checks and array layout."""
 
 from __future__ import annotations
 
@@ -57,16 +57,16 @@ _RULES: Mapping[str, _Check] = {
 
 
 class Component:
-    """Base class of everything that is declared in a network.
+    """Base class of all components of a network.
 
-    A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span` and
-    :func:`at_bus`. These say how a field is checked, converted to per unit and laid out in
-    arrays, so that a new kind of component needs nothing else.
+    A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span`,
+    :func:`flag` and :func:`at_bus`. These describe how a field is checked, converted to per unit and
+    laid out in arrays; a new kind of component needs nothing else.
 
     Attributes
     ----------
     kind, plural
-        Name of the dimension in results, and of the section in scenario files.
+        Name of the dimension in results, and name of the section in scenario files.
     """
 
     kind: ClassVar[str]
@@ -74,29 +74,29 @@ class Component:
     in_service: bool
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
-        """Refuse a field that there is not, with the nearest that there is."""
+        """Refuse unknown fields and suggest the closest known ones."""
         for key, value in values.items():
             if key not in cls.fields():
                 raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, cls.fields())}")
         return super().__new__(cls)
 
     def check_types(self, name: str) -> None:
-        """Raise :class:`ComponentError` unless every field is of its type.
+        """Raise :class:`ComponentError` unless every field has the right type.
 
-        A number is a number (NaN and infinity too), or None where the field is optional; a span is a
-        pair of numbers, a flag true or false, a bus the name of one, a cost a :class:`Cost` made of
-        numbers. So much holds whether the component is in service or not: it is what arrays, files
-        and later changes of the component are made of.
+        A number field holds a number, including NaN and infinity, or None if it is optional. A span
+        holds a pair of numbers, a flag true or false, a bus field the name of a bus, and a cost field
+        a :class:`Cost` with numeric parameters. Types are checked even if the component is out of
+        service, because arrays, files and later updates rely on them.
         """
         for key, metadata, check_type, _ in self._checks():
             if check_type is not None:
                 check_type(name, key, getattr(self, key), metadata)
 
     def check(self, name: str) -> None:
-        """Raise :class:`ComponentError` unless all holds that a component in service must keep.
+        """Raise :class:`ComponentError` unless the component may be in service.
 
-        The types, and the rules of each field. Subclasses add rules of their own, after the call of
-        this method.
+        Checks the type and the rules of each field. A subclass calls this method first and then checks
+        its own rules.
         """
         self.check_types(name)
         for key, metadata, _, check_rules in self._checks():
@@ -104,11 +104,11 @@ class Component:
                 check_rules(name, key, getattr(self, key), metadata)
 
     def check_declared(self, name: str) -> None:
-        """Raise :class:`ComponentError` unless a network can hold the component as it is.
+        """Raise :class:`ComponentError` unless a network may contain the component.
 
-        In service it must keep every rule (:meth:`check`). Out of service its types alone must be
-        right (:meth:`check_types`): nothing is computed from it, and data of units long gone, such
-        as a minimum above the maximum, are kept as they are until it is put in service.
+        A component in service must pass :meth:`check`. A component out of service must only pass
+        :meth:`check_types`: its values are not used, so invalid data of retired units, such as a
+        minimum above the maximum, are kept unchanged until it is put in service.
         """
         if is_flag(self.in_service) and not self.in_service:
             self.check_types(name)
@@ -116,26 +116,26 @@ class Component:
             self.check(name)
 
     def resolved(self) -> Self:
-        """The component with defaults that depend on other fields filled in."""
+        """Return the component with defaults that depend on other fields filled in."""
         return self
 
     @classmethod
     @cache
     def fields(cls) -> Mapping[str, Field[Any]]:
-        """The fields by name."""
+        """Fields of the dataclass by name."""
         return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     @cache
     def _checks(cls) -> tuple[tuple[str, Mapping[str, Any], _Check | None, _Check | None], ...]:
-        """Key, metadata and checks of each field, of its type and of its rules."""
+        """Key, metadata, type check and rule check of each field."""
         forms = [(key, item.metadata, item.metadata["form"]) for key, item in cls.fields().items()]
         return tuple((key, metadata, _TYPES.get(form), _RULES.get(form)) for key, metadata, form in forms)
 
     @classmethod
     @cache
     def table_fields(cls) -> Mapping[str, TableField]:
-        """The quantities that arrays of the kind have, by name: ``p_min`` and ``p_max`` of a span ``p``.
+        """Quantities in the arrays of this kind, by name: ``p_min`` and ``p_max`` for a span ``p``.
 
         Examples
         --------
@@ -157,12 +157,12 @@ class Component:
         return made
 
     def constant(self, field: str) -> float:
-        """Value of a quantity of the arrays (``p``, ``p_max``, ``c1``) as the component declares it.
+        """Declared value of a quantity of the arrays, such as ``p``, ``p_max`` or ``c1``.
 
         Raises
         ------
         ProfileError
-            The component has no such number; of a range the message names the two ends.
+            The component has no such number. For a span, the message names its two ends.
         """
         component, known = self.resolved(), self.fields()
         stem, _, end = field.rpartition("_")
@@ -186,12 +186,12 @@ class Component:
     @classmethod
     @cache
     def bus_fields(cls) -> tuple[str, ...]:
-        """Names of the fields that name a bus."""
+        """Names of the fields that refer to a bus."""
         return tuple(name for name, item in cls.fields().items() if item.metadata["form"] == "bus")
 
     @classmethod
     def unlimited(cls, key: str) -> float | None:
-        """The infinity by which a field of the table says that there is no limit; None if it cannot.
+        """Value that means "no limit" in a quantity of the arrays, ±infinity; None if it must be finite.
 
         Examples
         --------
@@ -209,18 +209,17 @@ class Component:
 
     @property
     def buses(self) -> tuple[str, ...]:
-        """Names of the buses that it is connected to."""
+        """Names of the buses to which the component is connected."""
         return tuple(getattr(self, name) for name in self.bus_fields())
 
     @classmethod
     def from_mapping(cls, name: str, values: Mapping[str, Any]) -> Self:
-        """Make a component from plain values, as a scenario file has them.
+        """Make a component from the plain values of a scenario file.
 
         Raises
         ------
         ComponentError
-            An unknown field, a missing field or, see :meth:`check_declared`, a value that breaks its
-            rule.
+            A field is unknown, missing, or invalid (see :meth:`check_declared`).
         """
         known = cls.fields()
         for key in values:
@@ -230,7 +229,7 @@ class Component:
                 )
         for key, item in known.items():
             if key not in values and item.default is MISSING:
-                raise ComponentError(name, key, None, f"a {cls.kind} needs this field")
+                raise ComponentError(name, key, None, f"required for a {cls.kind}")
         converted = {key: plain_value(known[key], value) for key, value in values.items()}
         component = cls(**converted)
         component.check_declared(name)
@@ -238,7 +237,7 @@ class Component:
 
 
 def plain_value(item: Field[Any], value: Any) -> Any:
-    """A value of a file in the form that the field takes: lists become tuples, mappings costs."""
+    """Convert a value from a file for a field: lists to tuples, mappings to costs."""
     form = item.metadata["form"]
     if form == "cost" and isinstance(value, Mapping):
         if set(value) == {"points"} and isinstance(value["points"], Sequence):

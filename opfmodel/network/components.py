@@ -1,7 +1,7 @@
-"""The built-in kinds of components: buses, branches, generators, storage, loads, shunts.
+"""Built-in kinds of components: buses, branches, generators, storages, loads and shunts.
 
-Quantities are physical: MW, MVAr, MVA, MWh, hours, degrees, $; impedances are per unit on the network's
-``base_mva``, voltages per unit.
+Quantities are in physical units: MW, MVAr, MVA, MWh, hours, degrees and $. Impedances are per unit on the
+network's ``base_mva``, and voltages are per unit.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Bus(Component):
     vm
         ``(min, max)`` of the voltage magnitude, p.u.
     base_kv
-        Nominal voltage, kV; kept for network files.
+        Nominal voltage, kV; only used in network files.
     reference
-        Whether its angle is the zero of its island.
+        Whether this is the reference bus of its island, with angle zero.
     """
 
     kind: ClassVar[str] = "bus"
@@ -56,13 +56,13 @@ class Branch(Component):
     b, g
         Total charging susceptance and conductance, half at each end, p.u.
     rating
-        Limit of the apparent power at both ends, MVA; None for no limit.
+        Maximum apparent power at both ends, MVA; None for no limit.
     tap, shift
-        Transformer ratio, from 0.001 to 1000, and phase shift in degrees.
+        Transformer ratio, from 0.001 to 1000, and phase shift, degrees.
     angle
-        ``(min, max)`` of the angle difference from - to, degrees; beyond ±360 there is no limit.
+        ``(min, max)`` of the angle difference from - to, degrees; ±360 or more means no limit.
     g_from, b_from, g_to, b_to
-        Further shunt admittance at one end, p.u.
+        Additional shunt admittance at each end, p.u.
     """
 
     kind: ClassVar[str] = "branch"
@@ -85,15 +85,14 @@ class Branch(Component):
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
-        """Raise :class:`ComponentError` if a field breaks its rule or the impedance is next to zero."""
+        """Raise :class:`ComponentError` if a field breaks a rule or the impedance is close to zero."""
         super().check(name)
         if math.hypot(self.r, self.x) < _LEAST_IMPEDANCE:
             raise ComponentError(
                 name,
                 "r, x",
                 (self.r, self.x),
-                f"the impedance must not be zero, but at least {_LEAST_IMPEDANCE:g} p.u.; "
-                "merge the two buses instead",
+                f"the impedance must be at least {_LEAST_IMPEDANCE:g} p.u.; merge the two buses instead",
             )
         if self.from_bus == self.to_bus:
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
@@ -101,7 +100,7 @@ class Branch(Component):
 
 @dataclass(frozen=True)
 class Generator(Component):
-    """A unit that injects power at a bus.
+    """A generating unit at a bus.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ class Generator(Component):
     p, q
         ``(min, max)`` of active and reactive power, MW and MVAr; no limit on q by default.
     ramp
-        Largest change of active power, MW/h; None for no limit.
+        Maximum change of active power, MW/h; None for no limit.
     cost
         :class:`Polynomial` or :class:`PiecewiseLinear`.
     """
@@ -128,31 +127,31 @@ class Generator(Component):
 
 @dataclass(frozen=True)
 class Storage(Component):
-    """A battery or another store; positive power charges it.
+    """A battery or other energy storage; positive power charges it.
 
     Parameters
     ----------
     bus
         Name of its bus.
     energy
-        Capacity, MWh.
+        Energy capacity, MWh.
     power
-        ``(min, max)`` of the charging power, MW; one number ``a`` stands for ``(-a, a)``.
+        ``(min, max)`` of the charging power, MW; a single number ``a`` means ``(-a, a)``.
     q
-        ``(min, max)`` of the reactive power drawn, MVAr.
+        ``(min, max)`` of the reactive power drawn, MVAr; a single number as for ``power``.
     initial
-        Energy at the start, MWh; None is midway between the least energy and the capacity.
+        Initial energy, MWh; None for the midpoint of ``energy_min`` and ``energy``.
     energy_min
-        Least energy, MWh.
+        Minimum stored energy, MWh.
     charge_efficiency, discharge_efficiency
-        From 0.001 to 1.
+        Efficiency, from 0.001 to 1.
     standing_loss
-        Fraction of the energy lost per hour.
+        Fraction of the stored energy lost per hour.
     rating
-        Limit of the apparent power, MVA; None for no limit.
+        Maximum apparent power, MVA; None for no limit.
     exclusive
-        Forbid charging and discharging at once, which matters only with losses and negative
-        prices. It makes the problem non-convex, so that only a nonlinear solver accepts it.
+        Forbid simultaneous charging and discharging, relevant only with losses and negative
+        prices. Makes the problem non-convex, so it requires a nonlinear solver.
     """
 
     kind: ClassVar[str] = "storage"
@@ -172,11 +171,11 @@ class Storage(Component):
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:
-        """Raise :class:`ComponentError` if a field breaks its rule or the energies are out of order."""
+        """Raise :class:`ComponentError` if a field breaks a rule or the energies are not in order."""
         super().check(name)
         if self.energy_min > self.energy:
             raise ComponentError(
-                name, "energy_min", self.energy_min, f"must be at most the capacity, energy = {self.energy:g}"
+                name, "energy_min", self.energy_min, f"must be at most energy = {self.energy:g}"
             )
         power, q = (pair if isinstance(pair, tuple) else (-pair, pair) for pair in (self.power, self.q))
         least = math.hypot(*(max(low, min(0.0, high)) for low, high in (power, q)))
@@ -189,11 +188,11 @@ class Storage(Component):
                 name,
                 "initial",
                 self.initial,
-                f"must lie between energy_min = {self.energy_min:g} and energy = {self.energy:g}",
+                f"must be between energy_min = {self.energy_min:g} and energy = {self.energy:g}",
             )
 
     def resolved(self) -> Storage:
-        """The storage with its initial energy filled in."""
+        """Return the storage with its initial energy filled in."""
         return (
             self if self.initial is not None else replace(self, initial=0.5 * (self.energy_min + self.energy))
         )
@@ -201,7 +200,7 @@ class Storage(Component):
 
 @dataclass(frozen=True)
 class Load(Component):
-    """A demand at a bus; negative values feed in.
+    """A demand at a bus; negative values are injections.
 
     Parameters
     ----------
@@ -222,14 +221,14 @@ class Load(Component):
 
 @dataclass(frozen=True)
 class Shunt(Component):
-    """A shunt at a bus: draws ``g vm²`` active and injects ``b vm²`` reactive power.
+    """A shunt at a bus, which draws ``g vm²`` active power and injects ``b vm²`` reactive power.
 
     Parameters
     ----------
     bus
         Name of its bus.
     g, b
-        Power at 1 p.u. voltage, MW and MVAr.
+        Active power drawn and reactive power injected at 1 p.u. voltage, MW and MVAr.
     """
 
     kind: ClassVar[str] = "shunt"
@@ -242,4 +241,4 @@ class Shunt(Component):
 
 
 BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
-"""The kinds of this package; devices of others bring their own."""
+"""Kinds of this package; devices from other packages define their own."""

@@ -1,4 +1,4 @@
-"""Costs of producing active power."""
+"""Cost functions of active-power generation."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ __all__ = ["Cost", "PiecewiseLinear", "Polynomial"]
 
 
 class Cost:
-    """Cost of producing active power, in $/h; convex."""
+    """Convex cost of active-power generation, $/h."""
 
     def check_types(self, name: str, key: str) -> None:
-        """Raise :class:`ComponentError` if this does not consist of numbers."""
+        """Raise :class:`ComponentError` unless the parameters are numbers."""
         raise NotImplementedError
 
     def check(self, name: str, key: str) -> None:
-        """Raise :class:`ComponentError` if this is not a convex cost."""
+        """Raise :class:`ComponentError` unless the cost is valid and convex."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Polynomial(Cost):
-    """Quadratic cost ``c2 p^2 + c1 p + c0`` with p in MW.
+    """Quadratic cost ``c2 p^2 + c1 p + c0``, with p in MW.
 
     Parameters
     ----------
     c2, c1, c0
-        In $/MW²h, $/MWh and $/h; ``c2 >= 0``.
+        Coefficients in $/MW²h, $/MWh and $/h, with ``c2 >= 0``.
     """
 
     c2: float = 0.0
@@ -55,12 +55,12 @@ class Polynomial(Cost):
 
 @dataclass(frozen=True)
 class PiecewiseLinear(Cost):
-    """Convex piecewise-linear cost through points; the outer segments extend beyond the ends.
+    """Convex piecewise-linear cost through given points; the outer segments extend beyond the ends.
 
     Parameters
     ----------
     points
-        ``((p, cost), ...)`` in MW and $/h, at least two, with increasing p and increasing slope.
+        At least two points ``((p, cost), ...)`` in MW and $/h, with increasing p and nondecreasing slope.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -70,12 +70,12 @@ class PiecewiseLinear(Cost):
 
     @property
     def slopes(self) -> list[float]:
-        """Slope of each segment in $/MWh."""
+        """Slope of each segment, $/MWh."""
         return [(c1 - c0) / (p1 - p0) for (p0, c0), (p1, c1) in pairwise(self.points)]
 
     @property
     def segments(self) -> list[tuple[float, float]]:
-        """``(slope, offset)`` of each distinct line; the cost is the largest of the lines."""
+        """``(slope, offset)`` of each distinct segment; the cost is the maximum over these lines."""
         lines: list[tuple[float, float]] = []
         for (p, c), slope in zip(self.points[:-1], self.slopes, strict=True):
             if not lines or not math.isclose(slope, lines[-1][0], rel_tol=1e-12, abs_tol=1e-12):
@@ -90,13 +90,13 @@ class PiecewiseLinear(Cost):
             raise ComponentError(name, key, self, "the points must be finite numbers")
 
     def check(self, name: str, key: str) -> None:
-        """Raise :class:`ComponentError` unless there are two points, in order, and the cost is convex."""
+        """Raise :class:`ComponentError` unless the points are ordered and define a convex cost."""
         if len(self.points) < 2:
             raise ComponentError(name, key, self, "needs at least two points (MW, $/h)")
         if not all(bounded(v) for point in self.points for v in point):
             raise ComponentError(name, key, self, f"the points must be finite numbers of at most {LARGEST:g}")
         if any(a[0] >= b[0] for a, b in pairwise(self.points)):
-            raise ComponentError(name, key, self, "the points must have increasing MW")
+            raise ComponentError(name, key, self, "the points must be in order of increasing MW")
         if not all(map(bounded, self.slopes)):
             raise ComponentError(name, key, self, f"the slopes must be at most {LARGEST:g} $/MWh")
         for first, second in pairwise(self.slopes):

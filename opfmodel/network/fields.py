@@ -1,4 +1,4 @@
-"""Fields: how a component's dataclass declares its quantities, and the checks of their values."""
+"""Field declarations of component dataclasses, and checks of their values."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def number(
     Parameters
     ----------
     unit
-        One of :data:`opfmodel.network.units.UNITS`; arrays of the field are in per unit accordingly.
+        One of :data:`opfmodel.network.units.UNITS`; determines the conversion to per unit.
     at_least, above, at_most
-        What values are accepted.
+        Limits of the accepted values.
     optional
-        Whether ``None`` is accepted; it means "no limit" and becomes infinity.
+        Whether ``None`` is accepted; it means "no limit" and becomes infinity in the arrays.
     finite
-        Whether infinity is refused; a field that accepts it says "no limit" by it, in time series too.
+        Whether infinity is refused. Where it is accepted, also in time series, it means "no limit".
     series
-        Whether the field may change in time; coefficients of a program's equations do not.
+        Whether the field accepts a time series. Coefficients of equations must be constant.
     """
     metadata = {
         "form": "number",
@@ -79,7 +79,7 @@ def span(
     symmetric: bool = False,
     series: bool = True,
 ) -> Any:
-    """Declare a field that holds ``(min, max)``; arrays of it are ``<field>_min`` and ``<field>_max``.
+    """Declare a field that holds ``(min, max)``, with arrays ``<field>_min`` and ``<field>_max``.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def span(
 
 
 def at_bus() -> Any:
-    """Declare a field that names a bus; the array of it holds bus positions."""
+    """Declare a field that names a bus; its array holds bus positions."""
     return field(metadata={"form": "bus", "unit": "", "series": False})
 
 
@@ -103,14 +103,14 @@ def flag(default: bool) -> Any:
 
 
 class TableField(NamedTuple):
-    """A quantity that the arrays of a kind of component have.
+    """A quantity in the arrays of a kind of component.
 
     Attributes
     ----------
     form, unit
-        Form and unit of the field that it comes from.
+        Form and unit of its field.
     series
-        Whether it may have a time series.
+        Whether it accepts a time series.
     """
 
     form: str
@@ -118,21 +118,21 @@ class TableField(NamedTuple):
     series: bool
 
 
-# Checks: the types always hold, the rules of what is in service ------------------------------------
+# Checks: types always, rules only for components in service -----------------------------------------
 
 _FINITE = f"must be a finite number of at most {LARGEST:g}"
-# Made once: they are asked for some ten times for every component of a network file.
+# Created once, because they are used about ten times for each component of a network file.
 _NUMBERS = (float, int, np.integer, np.floating)
 _FLAGS = (bool, np.bool_)
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a number; a truth value is none."""
+    """Whether a value is a number; Booleans do not count."""
     return isinstance(value, _NUMBERS) and not isinstance(value, bool)
 
 
 def is_flag(value: object) -> TypeGuard[bool]:
-    """Whether a value is a truth value."""
+    """Whether a value is a Boolean."""
     return isinstance(value, _FLAGS)
 
 
@@ -143,7 +143,7 @@ def type_of_number(name: str, key: str, value: object, rules: Mapping[str, Any])
 
 
 def rules_of_number(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
-    """Raise :class:`ComponentError` for a number that its field does not accept."""
+    """Raise :class:`ComponentError` for a number that violates the rules of its field."""
     if value is None:
         return
     if not bounded(value) and (rules["finite"] or abs(value) != INF):
@@ -157,7 +157,7 @@ def rules_of_number(name: str, key: str, value: Any, rules: Mapping[str, Any]) -
 
 
 def type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
-    """Raise :class:`ComponentError` unless a value is a pair of numbers, or one number."""
+    """Raise :class:`ComponentError` unless a value is a pair of numbers or, if symmetric, one number."""
     if rules["symmetric"] and is_number(value):
         return
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
@@ -167,13 +167,13 @@ def type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -
 
 
 def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
-    """Raise :class:`ComponentError` for a range that its field does not accept."""
+    """Raise :class:`ComponentError` for a range that violates the rules of its field."""
     if is_number(value):
         if not (bounded(value) or abs(value) == INF):
             raise ComponentError(name, key, value, _FINITE)
         if value < 0:
             raise ComponentError(
-                name, key, value, "a single number stands for (-a, a); it must be at least 0"
+                name, key, value, "a single number a stands for (-a, a) and must be at least 0"
             )
         return
     low, high = value
@@ -184,7 +184,7 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
         raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
     if low == INF or high == -INF:
         raise ComponentError(
-            name, key, value, "the minimum must be below infinity, the maximum above -infinity"
+            name, key, value, "the minimum must be below infinity and the maximum above -infinity"
         )
     if low < rules["at_least"]:
         raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")

@@ -1,4 +1,4 @@
-"""The network: named components on a common power base.
+"""Network of named components on a common power base.
 
     >>> import opfmodel as om
     >>> grid = om.Network("two-bus", base_mva=100)
@@ -10,7 +10,7 @@
     >>> grid
     Network('two-bus': 2 buses, 1 branch, 1 generator, 1 load)
 
-An assigned attribute names the component; loops use :meth:`Network.add`.
+Assigning an attribute names the component; in loops, use :meth:`Network.add`.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class Network:
     name
         Name of the network.
     base_mva
-        Power base of the impedances and admittances of its branches, from 1e-6 to 1e9 MVA. No result depends
-        on it: inside, everything is per unit on :attr:`scale_mva`.
+        Power base of the branch impedances and admittances, from 1e-6 to 1e9 MVA. Results do not depend
+        on it, because internal per-unit values refer to :attr:`scale_mva`.
 
     Examples
     --------
-    ``grid.north = Bus()`` and ``grid.add("north", Bus())`` are the same;
-    ``grid["north"]`` and ``grid.north`` read it back.
+    ``grid.north = Bus()`` and ``grid.add("north", Bus())`` are equivalent, and so are
+    ``grid["north"]`` and ``grid.north``.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Network:
 
     @property
     def capacity_mva(self) -> float:
-        """The largest of what generators, loads and storages can exchange, MW; 0 if nothing is limited."""
+        """Largest of total generation, total load and total charging power, MW; ignores unlimited units."""
         generators, storages = self.of(Generator).values(), self.of(Storage).values()
         charging = (s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service)
         sums = (
@@ -84,10 +84,10 @@ class Network:
 
     @property
     def scale_mva(self) -> float:
-        """Power base on which the quantities of the system are of the order of one, MVA.
+        """Power base of the internal per-unit values, MVA, on which quantities are of order one.
 
-        100 MVA, or for a smaller system the power of ten at or below its capacity. It does not depend on
-        ``base_mva``, so that neither do results.
+        100 MVA or, for smaller systems, the largest power of ten that does not exceed the capacity. It
+        is independent of ``base_mva``.
         """
         capacity = self.capacity_mva
         return min(100.0, 10.0 ** math.floor(math.log10(capacity))) if capacity > 0 else 100.0
@@ -98,21 +98,21 @@ class Network:
         Raises
         ------
         NetworkError
-            The name is taken, or has characters that cannot be seen.
+            The name is already in use, or has invisible characters.
         ComponentError
-            A field of the component breaks its rule; of a component out of service only the types
-            of fields are checked, see :meth:`Component.check_declared`.
+            A field of the component is invalid. For a component out of service, only the types of
+            its fields are checked; see :meth:`Component.check_declared`.
         """
         if not isinstance(component, Component):
             raise NetworkError(
-                f"network {self.name!r}: {name} = {component!r} is not a component (Bus, Branch, ...)"
+                f"network {self.name!r}: {name} = {component!r}: must be a component (Bus, Branch, ...)"
             )
         name = str(name)
         if fault := name_fault(name):
             raise NetworkError(f"network {self.name!r}: the name {name!r} {fault}")
         if name in self._components:
             raise NetworkError(
-                f"network {self.name!r}: the name {name!r} is taken by a {self._components[name].kind}; "
+                f"network {self.name!r}: the name {name!r} is used by a {self._components[name].kind}; "
                 "names must be unique"
             )
         component.check_declared(name)
@@ -122,8 +122,8 @@ class Network:
     def update(self, name: str, /, **changes: Any) -> Component:
         """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
 
-        Rules are checked as by :meth:`add`, so that a component put in service,
-        ``grid.update("coal", in_service=True)``, must keep all of them from then on.
+        Fields are checked as by :meth:`add`, so a component that is put in service,
+        ``grid.update("coal", in_service=True)``, must satisfy all rules.
         """
         old = self[name]
         for key, value in changes.items():
@@ -137,13 +137,13 @@ class Network:
         return new
 
     def remove(self, name: str) -> Component:
-        """Take a component out of the network."""
+        """Remove a component from the network and return it."""
         component = self[name]
         self._set(name, None)
         return component
 
     def _set(self, name: str, component: Component | None) -> None:
-        """The one place that changes the components."""
+        """Change the components; every change goes through here to clear the cache."""
         if component is None:
             del self._components[name]
         else:
@@ -157,21 +157,21 @@ class Network:
         self._derived.clear()
 
     def derived(self, make: Callable[[Network], T]) -> T:
-        """What a function makes of the network: made once, and again after a component has changed."""
+        """Result of ``make(network)``, cached until a component changes."""
         if make not in self._derived:
             self._derived[make] = make(self)
         return cast(T, self._derived[make])
 
     def of(self, kind: type[C]) -> dict[str, C]:
-        """All components of a class, by name, in the order of their declaration."""
+        """All components of a class by name, in order of declaration."""
         return {n: c for n, c in self._components.items() if isinstance(c, kind)}
 
     def kinds(self) -> list[type[Component]]:
-        """Classes of which there are components, in the order of their first declaration."""
+        """Classes of the components, in order of first declaration."""
         return list(dict.fromkeys(type(c) for c in self._components.values()))
 
     def copy(self) -> Network:
-        """A network with the same components, to be changed independently."""
+        """Return an independent copy with the same components."""
         twin = Network(self.name, self.base_mva)
         twin._components.update(self._components)
         twin._derived.update(self._derived)
@@ -208,7 +208,7 @@ class Network:
     def __setattr__(self, name: str, value: Any) -> None:
         if hasattr(type(self), name) or name in ("name", "base_mva"):
             raise NetworkError(
-                f"network {self.name!r}: {name!r} is a word of Network itself; use add({name!r}, ...) "
+                f"network {self.name!r}: {name!r} is an attribute of Network; use add({name!r}, ...) "
                 "or another name"
             )
         self.add(name, value)
@@ -228,5 +228,5 @@ class Network:
 
 
 def name_pattern(name: str) -> re.Pattern[str]:
-    """The names that a name with stars stands for: ``gas*`` is every name that begins with ``gas``."""
+    """Compile a name with ``*`` wildcards: ``gas*`` matches all names that begin with ``gas``."""
     return re.compile("".join(".*" if c == "*" else re.escape(c) for c in name))

@@ -1,6 +1,6 @@
-"""The equations of a branch, as pure functions of numbers or symbols.
+"""Branch equations as pure functions of numbers or symbols.
 
-Every function works on floats, NumPy arrays and the expressions of :mod:`solvers` alike.
+All functions accept floats, NumPy arrays and expressions of :mod:`solvers`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Admittance:
-    """Entries of the branches' two-port admittance matrices, ``y_ab = g_ab + j b_ab``, in p.u."""
+    """Entries ``y_ab = g_ab + j b_ab`` of the two-port admittance matrices of branches, p.u."""
 
     g_ff: Array
     b_ff: Array
@@ -36,7 +36,7 @@ class Admittance:
     b_tt: Array
 
     def __getitem__(self, key: Any) -> Admittance:
-        """The entries of some of the branches."""
+        """Select branches."""
         return Admittance(*(getattr(self, field.name)[key] for field in fields(self)))
 
 
@@ -65,7 +65,7 @@ def branch_admittance(
     g_from, b_from, g_to, b_to
         Shunt admittance at each end, p.u.
     tap, shift
-        Ratio :math:`\tau` and phase shift :math:`\phi` in radians.
+        Transformer ratio :math:`\tau`, and phase shift :math:`\phi` in radians.
 
     References
     ----------
@@ -81,7 +81,7 @@ def branch_admittance(
 
 
 def polar_products(vm_f: Any, vm_t: Any, angle: Any) -> tuple[Any, Any, Any, Any]:
-    r"""Voltage products of a branch from magnitudes and the angle across it.
+    r"""Voltage products of a branch from voltage magnitudes and the angle difference.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def polar_products(vm_f: Any, vm_t: Any, angle: Any) -> tuple[Any, Any, Any, Any
 
 
 def rectangular_products(e_f: Any, f_f: Any, e_t: Any, f_t: Any) -> tuple[Any, Any, Any, Any]:
-    r"""Voltage products of a branch from real and imaginary parts of its voltages.
+    r"""Voltage products of a branch from the real and imaginary parts of its voltages.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def rectangular_products(e_f: Any, f_f: Any, e_t: Any, f_t: Any) -> tuple[Any, A
 
 
 def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[Any, Any, Any, Any]:
-    r"""Power entering a branch at both ends, linear in the voltage products.
+    r"""Power flowing into both ends of a branch, linear in the voltage products.
 
     .. math::
         S_f = y_{ff}^* w_f + y_{ft}^* (w_r + j w_i), \quad
@@ -114,7 +114,7 @@ def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[
     Returns
     -------
     pf, qf, pt, qt
-        p.u.
+        Active and reactive power into the from and to ends, p.u.
     """
     pf = y.g_ff * w_f + y.g_ft * w_r + y.b_ft * w_i
     qf = -y.b_ff * w_f - y.b_ft * w_r + y.g_ft * w_i

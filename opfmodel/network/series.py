@@ -1,4 +1,4 @@
-"""Time series on a network: what may have one, the rules that its values keep, and arrays of a window."""
+"""Time series of a network: which fields accept one, checks of its values, and per-unit windows."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Fields = dict[tuple[str, str], Array]
 
 
 def check_series(profiles: Profiles, network: Network) -> None:
-    """Raise :class:`ProfileError` if a series is of nothing that may change, or breaks a rule.
+    """Raise :class:`ProfileError` for a series of a field that cannot vary, or with an invalid value.
 
-    The rules are those of the fields: bounds do not cross, a rating is at least 0. Values are finite.
+    Values must be finite and satisfy the rules of the field; for example, bounds must not cross and a
+    rating must be at least 0.
     """
     check_finite(profiles, network)
     for key in profiles:
@@ -36,7 +37,7 @@ def check_series(profiles: Profiles, network: Network) -> None:
         known, fixed = component.table_fields(), [*component.bus_fields(), "in_service"]
         if field in fixed or (field in known and not known[field].series):
             raise ProfileError(
-                f"profile '{key}': the {field} of a {component.kind} is the same in all steps; "
+                f"profile '{key}': the {field} of a {component.kind} is constant; "
                 "it cannot have a time series",
                 key,
             )
@@ -44,18 +45,22 @@ def check_series(profiles: Profiles, network: Network) -> None:
             near = nearest(field, known)
             raise ProfileError(f"profile '{key}': a {component.kind} has no such field; {near}", key)
         if known[field].form == "cost" and isinstance(getattr(component, "cost", None), PiecewiseLinear):
-            raise ProfileError(f"profile '{key}': the cost of {name!r} is piecewise linear", key)
+            raise ProfileError(
+                f"profile '{key}': the cost of {name!r} is piecewise linear; "
+                "only polynomial costs can have a time series",
+                key,
+            )
         _check_rules(profiles, component, key)
 
 
 def check_finite(profiles: Profiles, network: Network) -> None:
     """Raise :class:`ProfileError` for a value that is not a finite number.
 
-    Infinity is accepted where a field says by it that there is no limit: ``rating``, ``ramp``, and
-    the reactive limits of generators.
+    Infinity is accepted where it means "no limit": ``rating``, ``ramp``, and the reactive limits of
+    generators.
     """
     for key, values in profiles.items():
-        wrong = ~(np.abs(values) <= LARGEST)  # not a number is wrong, too
+        wrong = ~(np.abs(values) <= LARGEST)  # true for NaN as well
         if not wrong.any():
             continue
         unlimited = network[key.component].unlimited(key.field) if key.component in network else None
@@ -73,7 +78,7 @@ def check_finite(profiles: Profiles, network: Network) -> None:
 
 
 def _check_rules(profiles: Profiles, component: Component, key: SeriesKey) -> None:
-    """Hold one series to the rules of its field."""
+    """Raise :class:`ProfileError` if a series breaks a rule of its field."""
     values = profiles[key]
 
     def refuse(broken: npt.NDArray[np.bool_], rule: str, other: Array | None = None) -> None:
@@ -91,7 +96,7 @@ def _check_rules(profiles: Profiles, component: Component, key: SeriesKey) -> No
         refuse(values <= rules["above"], f"greater than {rules['above']:g}")
         refuse(values > rules["at_most"], f"at most {rules['at_most']:g}")
     if key.field == "c2":
-        refuse(values < 0, "at least 0, for costs are convex")
+        refuse(values < 0, "at least 0 because costs must be convex")
     for other, below in _other_ends(component, key.field):
         bound = profiles.get(SeriesKey(key.component, other))
         steps = len(values) if bound is None else min(len(values), len(bound))
@@ -101,7 +106,7 @@ def _check_rules(profiles: Profiles, component: Component, key: SeriesKey) -> No
 
 
 def _other_ends(component: Component, field: str) -> Iterator[tuple[str, bool]]:
-    """The fields that bound a field from the other side, and whether they are to be above it."""
+    """Fields that bound a field from the other side, and whether they must be above it."""
     known = component.fields()
     stem, _, end = field.rpartition("_")
     if end in ("min", "max") and stem in known and known[stem].metadata["form"] == "span":
@@ -116,16 +121,16 @@ def _other_ends(component: Component, field: str) -> Iterator[tuple[str, bool]]:
 
 
 def fields_with_series(profiles: Profiles, network: PerUnitNetwork) -> set[tuple[str, str]]:
-    """The ``(kind, field)`` pairs of which some component in service has a series."""
+    """``(kind, field)`` pairs for which a component in service has a series."""
     return {(kind, key.field) for key, kind, _, _ in _placed(profiles, network)}
 
 
 def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
-    """Limits that contain those of every step, per unit ``(items, 1)`` by ``(kind, field)``.
+    """Loosest limits over all steps, per unit ``(items, 1)`` by ``(kind, field)``.
 
-    A program is stated with them, so that it has a row for whatever is limited at some step
-    and no bound that cuts off another. A limit that is absent from some steps only counts by
-    those that have it.
+    Programs are built with these limits, so that they contain a row for everything that is limited in
+    any step, and no bound that is too tight in another step. Steps in which a limit is infinite are
+    disregarded if other steps have a finite limit.
     """
     out: Fields = {}
     for key, kind, position, values in _placed(profiles, network):
@@ -142,20 +147,20 @@ def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
 
 
 def window(profiles: Profiles, network: PerUnitNetwork, start: int, stages: int) -> Fields:
-    """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the steps from ``start``.
+    """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the ``stages`` steps from ``start``.
 
-    Components without a series of their own keep their constant value.
+    Components without a time series keep their constant value.
 
     Raises
     ------
     ProfileError
-        A series ends before the window does.
+        A series ends before the window.
     """
     out: Fields = {}
     for key, kind, position, values in _placed(profiles, network):
         if len(values) < start + stages:
             raise ProfileError(
-                f"profile '{key}' has {len(values)} values; "
+                f"profile '{key}': has {len(values)} values; "
                 f"steps {start} to {start + stages - 1} need {start + stages}",
                 key,
             )
@@ -168,7 +173,7 @@ def window(profiles: Profiles, network: PerUnitNetwork, start: int, stages: int)
 
 
 def _placed(profiles: Profiles, network: PerUnitNetwork) -> Iterator[tuple[SeriesKey, str, int, Array]]:
-    """The series of components in service, with kind and position of the component."""
+    """Series of components in service, with the kind and position of the component."""
     for key, values in profiles.items():
         for kind, table in network.tables.items():
             if key.component in table.position:

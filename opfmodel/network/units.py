@@ -1,8 +1,9 @@
-"""Physical units at the public boundary, per unit inside: the one place that converts.
+"""Conversion between physical units, used in the public interface, and per unit, used internally.
 
-Inside, per unit is on the base of the arrays, which the size of the system decides; impedances and
-admittances are declared per unit on the network's own base. Energy per unit is in hours (1 p.u. h is
-the base in MWh); angles are radians inside and degrees outside; costs are $ on both sides.
+All conversions take place here. Internal per-unit values refer to the base of the arrays, which depends
+on the size of the system; impedances and admittances are declared per unit on the network's own base.
+Per-unit energy is in hours (1 p.u. h is the base in MWh). Angles are in radians internally and in degrees
+in the interface; costs are in $ in both.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from opfmodel.errors import ModelError
 
 __all__ = ["UNITS", "scale"]
 
-# power of the base inside in one internal unit, and another constant factor
+# exponent of the internal base in one internal unit, and a constant factor
 _FACTORS: dict[str, tuple[int, float]] = {
     "": (0, 1.0),
     "p.u.": (0, 1.0),
@@ -34,21 +35,21 @@ _FACTORS: dict[str, tuple[int, float]] = {
     "$/MW": (-1, 1.0),
     "$/MW^2h": (-2, 1.0),
 }
-# power of the ratio of the base inside to the declared one
+# exponent of the ratio of the internal base to the declared base
 _REBASED = {"p.u. impedance": -1, "p.u. admittance": 1}
 
 UNITS = (*_FACTORS, *_REBASED)
 
 
 def scale(unit: str, base_mva: float, declared_mva: float | None = None) -> float:
-    """Declared value of one internal unit: ``declared = scale(unit, base_mva) * internal``.
+    """Factor from internal to declared values: ``declared = scale(unit, base_mva) * internal``.
 
     Parameters
     ----------
     base_mva
-        Base of the per-unit values inside.
+        Base of the internal per-unit values.
     declared_mva
-        Base on which the network declares impedances and admittances; by default the same.
+        Base on which the network declares impedances and admittances; ``base_mva`` by default.
 
     Examples
     --------
@@ -64,5 +65,5 @@ def scale(unit: str, base_mva: float, declared_mva: float | None = None) -> floa
     try:
         power, factor = _FACTORS[unit]
     except KeyError:
-        raise ModelError(f"unknown unit {unit!r}; known are: {', '.join(UNITS)}") from None
+        raise ModelError(f"unknown unit {unit!r}; available: {', '.join(UNITS)}") from None
     return base_mva**power * factor

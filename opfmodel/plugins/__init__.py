@@ -1,4 +1,4 @@
-"""Plugins: how those of this package and of others are found, and what is installed."""
+"""Discovery and loading of plugins from this and other packages."""
 
 from opfmodel.plugins.registry import GROUPS, Plugin, hidden, load, make, plugins, rescan
 

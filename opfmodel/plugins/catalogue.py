@@ -1,4 +1,4 @@
-"""What is installed: every objective, formulation, device, profile rule and back end."""
+"""Catalogue of the installed plugins and back ends."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["Entry", "catalogue"]
 
 @dataclass(frozen=True)
 class Entry:
-    """One plugin.
+    """Catalogue entry of a plugin or back end.
 
     Attributes
     ----------
     summary
-        First line of its documentation, or why it could not be loaded.
+        First line of its docstring, or the reason why it is unavailable.
     options
-        What it takes, each with its default if it has one: ``loads=null``.
+        Options it accepts, with their defaults if any: ``loads=null``.
     broken
-        Whether it could not be loaded.
+        Whether it is unavailable.
     """
 
     sort: str
@@ -37,12 +37,12 @@ class Entry:
     options: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry as plain data."""
+        """Convert the entry to plain data."""
         return asdict(self)
 
 
 def catalogue() -> list[Entry]:
-    """All plugins by sort and name; one that does not load or is out of reach is said to be so."""
+    """List all plugins by sort and name, including those that fail to load or are shadowed."""
     entries = []
     for sort in GROUPS:
         for plugin in plugins(sort).values():
@@ -53,13 +53,13 @@ def catalogue() -> list[Entry]:
                 entry = Entry(sort, plugin.name, plugin.origin, f"BROKEN: {error}", True)
             entries.append(entry)
         for plugin, winner in hidden(sort):
-            summary = f"BROKEN: out of reach behind the {sort} of the same name of {winner.origin}"
+            summary = f"BROKEN: shadowed by the {sort} of the same name from {winner.origin}"
             entries.append(Entry(sort, plugin.name, plugin.origin, summary, True))
     origins = {p.name: p.dist.name if p.dist else "unknown" for p in entry_points(group="solvers.backends")}
     broken_ends = broken_back_ends()
     for name, end in back_ends().items():
         if name not in broken_ends:
-            called = ", ".join(installed(end)) or "nothing installed"
+            called = ", ".join(installed(end)) or "none installed"
             summary = f"{_first_line(type(end))} Solves: {end.accepts}. Solvers: {called}."
             entries.append(Entry("back end", name, origins.get(name, "unknown"), summary))
     for name, reason in broken_ends.items():
@@ -68,19 +68,19 @@ def catalogue() -> list[Entry]:
 
 
 def _first_line(cls: type) -> str:
-    """What a class is, in plain words: the first line of its documentation without its mark-up."""
+    """First line of the docstring of a class, without markup."""
     line = (inspect.getdoc(cls) or "no documentation").splitlines()[0]
     line = re.sub(r":(\w+):`([^`]*)`", lambda match: _formula(match[2]), line)
     return line.replace("``", "")
 
 
 def _formula(text: str) -> str:
-    r"""A formula or reference as plain text: ``\tan(\lambda)`` is tan(lambda)."""
+    r"""Formula or reference as plain text: ``\tan(\lambda)`` becomes tan(lambda)."""
     return text.removeprefix("~").replace("\\", "")
 
 
 def _options(cls: type) -> tuple[str, ...]:
-    """The keyword arguments of a constructor with their defaults."""
+    """Keyword arguments of a constructor, with their defaults."""
     return tuple(
         p.name if p.default is p.empty else f"{p.name}={_shown(p.default)}"
         for p in inspect.signature(cls).parameters.values()
@@ -89,7 +89,7 @@ def _options(cls: type) -> tuple[str, ...]:
 
 
 def _shown(default: Any) -> str:
-    """A default as a scenario file would have it."""
+    """Format a default as in a scenario file."""
     if isinstance(default, tuple | list):
         return f"[{', '.join(_shown(value) for value in default)}]"
     if default is None or isinstance(default, bool):

@@ -1,4 +1,4 @@
-"""How plugins are found, in this package and in others', and made from the options of a file."""
+"""Discovery of plugins in this and other packages, and their construction from file options."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GROUPS = {
     "plant": "opfmodel.plants",
 }
 
-# What a plugin must be a subclass of; by name, because these live in layers above.
+# Base class of each sort of plugin, by name because they live in higher layers.
 _BASES = {
     "objective": "opfmodel.objectives.base:Objective",
     "formulation": "opfmodel.formulations.base:Formulation",
@@ -33,18 +33,18 @@ _BASES = {
     "plant": "opfmodel.simulation:Plant",
 }
 
-# Where a class says its own name, which must be that of its entry point: results and networks use it.
+# Attribute with the name of a class. Results and networks use it, so it must match the entry point.
 _NAMES = {"formulation": "name", "device": "component.kind"}
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """An entry point: what it is, whose it is, and how to load it.
+    """An entry point that provides a plugin.
 
     Attributes
     ----------
     origin
-        Name of the distribution that provides it.
+        Distribution that provides it.
     """
 
     sort: str
@@ -58,12 +58,12 @@ class Plugin:
         Raises
         ------
         PluginError
-            Its module does not import, or what it names is not a class of this sort and name.
+            The module cannot be imported, or the entry point is not a class of this sort and name.
         """
-        where = f"{self.sort} {self.name!r} of {self.origin} cannot be loaded ({self.point.value})"
+        where = f"{self.sort} {self.name!r} from {self.origin} cannot be loaded ({self.point.value})"
         try:
             loaded = self.point.load()
-        except (Exception, SystemExit) as error:  # a third party's module may raise anything
+        except (Exception, SystemExit) as error:  # a third-party module may raise anything
             raise PluginError(f"{where}: {type(error).__name__}: {error}") from error
         base: type[Any] = pkgutil.resolve_name(_BASES[self.sort])
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
@@ -75,12 +75,12 @@ class Plugin:
             for part in _NAMES[self.sort].split("."):
                 named = getattr(named, part, None)
             if named != self.name:
-                raise PluginError(f"{where}: its {_NAMES[self.sort]} is {named!r}, and must be {self.name!r}")
+                raise PluginError(f"{where}: its {_NAMES[self.sort]} is {named!r}; must be {self.name!r}")
         return loaded
 
 
 def plugins(sort: str) -> dict[str, Plugin]:
-    """All plugins of a sort by name; this package's own win over others of the same name."""
+    """All plugins of a sort by name; those of this package take precedence."""
     found: dict[str, Plugin] = {}
     for plugin in _every(sort):
         found.setdefault(plugin.name, plugin)
@@ -88,14 +88,14 @@ def plugins(sort: str) -> dict[str, Plugin]:
 
 
 def hidden(sort: str) -> list[tuple[Plugin, Plugin]]:
-    """Plugins that cannot be reached, each with the one that has its name."""
+    """Shadowed plugins, each with the plugin that takes precedence."""
     winners = plugins(sort)
     return [(p, winners[p.name]) for p in _every(sort) if p is not winners[p.name]]
 
 
 @cache
 def _every(sort: str) -> tuple[Plugin, ...]:
-    """All plugins of a sort, this package's own first, then by origin."""
+    """All plugins of a sort, first those of this package, then by origin."""
     found = []
     for point in entry_points(group=GROUPS[sort]):
         origin = point.dist.name if point.dist is not None else "unknown"
@@ -104,17 +104,17 @@ def _every(sort: str) -> tuple[Plugin, ...]:
 
 
 def rescan() -> None:
-    """Look for plugins again, when one was installed while the program runs."""
+    """Discard the cached plugins, to find those installed since."""
     _every.cache_clear()
 
 
 def load(sort: str, name: str) -> Any:
-    """The class of a plugin.
+    """Load the class of a plugin.
 
     Raises
     ------
     PluginError
-        No plugin of that name; the message names the nearest.
+        There is no plugin of that name, or it cannot be loaded.
     """
     known = plugins(sort)
     if name not in known:
@@ -129,22 +129,22 @@ def make(
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
     beside: Iterable[str] = (),
 ) -> Any:
-    """An object of a plugin's class from options as a file has them.
+    """Construct a plugin from the options of a file.
 
     Parameters
     ----------
     options
-        Keyword arguments of the constructor, checked against its annotations; numbers are finite.
+        Keyword arguments of the constructor, checked against its annotations; numbers must be finite.
     convert
-        How values of a file become objects of a type, for options annotated with it.
+        Functions that convert file values, by the annotated type of the option.
     beside
-        Keys that stand beside the options in a file, for which one of them may be a mistake.
+        Other keys next to the options in the file, suggested for misspelt options.
 
     Raises
     ------
     PluginError
-        An unknown plugin or option, a missing option, or a value of the wrong type; the attribute
-        ``option`` names the option.
+        The plugin or an option is unknown, a required option is missing, or a value has the wrong type.
+        The attribute ``option`` names the option that is unknown or has the wrong type.
     """
     from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -173,12 +173,12 @@ def make(
             raise PluginError(f"{sort} {name!r}: {named} = {shown(at)}: {reason}", key, *path) from None
     missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
     if missing:
-        raise PluginError(f"{sort} {name!r} needs the option {missing[0]!r}")
+        raise PluginError(f"{sort} {name!r} requires the option {missing[0]!r}")
     return cls(**checked)
 
 
 def _path(value: Any, location: tuple[str | int, ...]) -> tuple[list[str | int], Any]:
-    """Keys inside an option that lead to a mistake, and the value there; branches of unions are no keys."""
+    """Path of keys inside an option to the invalid value, without union branches, and that value."""
     path: list[str | int] = []
     at: Any = value
     for part in location:

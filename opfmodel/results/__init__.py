@@ -1,4 +1,4 @@
-"""Results: labelled arrays, the files of a run, and figures."""
+"""Results: labelled arrays, files and figures."""
 
 from opfmodel.results.dataset import dataset
 from opfmodel.results.store import finite, load, remove_temporaries, replace, save

@@ -25,22 +25,22 @@ DEMAND = {"pd": ("p", "MW", "active"), "qd": ("q", "MVAr", "reactive")}
 def dataset(
     network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Array
 ) -> xr.Dataset:
-    """A dataset in physical units from per-unit arrays.
+    """Build a dataset in physical units from per-unit arrays.
 
     Parameters
     ----------
     network
-        Arrays of the network, with the time series of the window.
+        Network arrays with the time series of the window.
     quantities
-        ``(kind, unit, description, values)`` by name; values of shape ``(items, stages)``. The
-        kind "" stands for the whole system; one that the network does not have is numbered.
+        ``(kind, unit, description, values)`` by name, with values of shape ``(items, stages)``. The
+        kind "" means the entire system. The items of a kind that the network lacks are numbered.
     times
-        Hours at which the stages begin.
+        Start of each stage, h.
 
     Returns
     -------
     xarray.Dataset
-        Dimensions ``time`` and one per kind of component; also the demand ``pd``, ``qd`` of each bus.
+        Dimensions ``time`` and one per kind of component. Includes the demand ``pd``, ``qd`` of each bus.
     """
     import xarray as xr
 

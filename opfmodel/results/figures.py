@@ -1,4 +1,4 @@
-"""Figures of a run or a plan: what the whole system does, and what single buses do."""
+"""Figures of a run or a plan, for the entire system and for individual buses."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = ["FIGURES", "buses", "demand", "save_figures", "system"]
 
-# Readable in grey as well: colours of Okabe and Ito, and a line style each.
+# Okabe-Ito palette; distinct line styles keep figures readable in greyscale.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WIDTH = 7.2  # inches: the text width of a page
 _MOST_LINES = 7
 
 
-def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - as the others
-    """Sums over the system: demand and generation, storage power and losses of branches, energy, cost."""
+def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - same signature
+    """Plot system totals: demand and generation, storage power, branch losses, stored energy and cost."""
     stored = "e" in data
     figure, axes = _figure(2 + stored + ("cost_rate" in data))
     panels = iter(axes)
@@ -38,10 +38,12 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
         _steps(rest, data, charging, label="storage (charging > 0)", color=_COLOURS[1], linestyle="--")
     if {"pf", "pt"} <= set(data):
         losses = _total(data, "pf") + _total(data, "pt")
-        _steps(rest, data, losses, label="losses of branches", color=_COLOURS[4])
+        _steps(rest, data, losses, label="branch losses", color=_COLOURS[4])
     for number, name in enumerate(_injections(data)):
         label = name.removesuffix("_p")
-        _steps(rest, data, _total(data, name), label=f"{label} (feed-in > 0)", color=_COLOURS[5 - number % 2])
+        _steps(
+            rest, data, _total(data, name), label=f"{label} (injection > 0)", color=_COLOURS[5 - number % 2]
+        )
     rest.set_ylabel("power [MW]")
     if stored:
         axis = next(panels)
@@ -56,7 +58,7 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
 
 
 def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
-    """Active (solid) and reactive (dashed) demand of some buses, and the sum of all."""
+    """Plot active (solid) and reactive (dashed) demand of some buses, and the total active demand."""
     figure, axes = _figure(2)
     for number, bus in enumerate(_buses(data, names)):
         colour = _COLOURS[number % len(_COLOURS)]
@@ -70,9 +72,9 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
 
 
 def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
-    """Inputs, outputs and states at some buses: generation, storage power, voltage, stored energy.
+    """Plot generation, storage power, voltage, angle and stored energy at some buses.
 
-    Active power, voltage magnitude and energy are solid, reactive power and angle dashed.
+    Reactive power is dashed; all other quantities are solid.
     """
     chosen = _buses(data, names)
     panels = [
@@ -113,17 +115,17 @@ def save_figures(
     names: Sequence[str] | None = None,
     figures: Iterable[str] = tuple(FIGURES),
 ) -> list[Path]:
-    """Draw figures and write each as PDF and PNG, under a temporary name that is then changed.
+    """Draw figures and write each as PDF and PNG, replacing files atomically.
 
     Parameters
     ----------
     names
-        Buses to show; by default a few with the most demand and generation.
+        Buses to show; by default a few with the highest demand or generation.
 
     Raises
     ------
     ResultError
-        An unknown bus, or the folder cannot be written.
+        A bus is unknown, or the folder cannot be written.
     """
     written = []
     for name in figures:
@@ -157,13 +159,13 @@ def _step_hours(data: xr.Dataset) -> float:
 
 
 def _steps(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
-    """A quantity that is constant during each stage."""
+    """Plot a quantity that is constant during each stage."""
     times = np.append(data["time"].values, data["time"].values[-1] + _step_hours(data))
     axis.step(times, np.append(values, values[-1]), where="post", linewidth=1.2, **style)
 
 
 def _line(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
-    """A quantity at the start of each stage."""
+    """Plot a quantity at the start of each stage."""
     axis.plot(data["time"].values, values, linewidth=1.2, marker=".", markersize=3, **style)
 
 
@@ -175,12 +177,12 @@ def _total(data: xr.Dataset, quantity: str) -> Any:
 
 
 def _injections(data: xr.Dataset) -> list[str]:
-    """What devices of other packages feed into the buses: ``<kind>_p``."""
+    """Names of the injections of devices from other packages: ``<kind>_p``."""
     return [str(n) for n in data if str(n).endswith("_p") and data[n].dims == ("time", "bus")]
 
 
 def _at_bus(data: xr.Dataset, quantity: str, kind: str, bus: str) -> Any:
-    """Sum of a quantity over the components at a bus; None where there are none."""
+    """Sum of a quantity over the components at a bus; None without components."""
     if quantity not in data:
         return None
     if kind == "bus":
@@ -208,7 +210,7 @@ def _buses(data: xr.Dataset, names: Sequence[str] | None) -> list[str]:
 
 
 def _legend(figure: Figure) -> None:
-    """One legend above all panels, each label once."""
+    """Add a single legend above all panels, with each label once."""
     known: dict[str, Any] = {}
     for axis in figure.axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):

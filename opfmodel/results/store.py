@@ -1,4 +1,4 @@
-"""The files of a run: written whole or not at all, and read with suspicion."""
+"""Files of a run: written atomically, and verified when read."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ __all__ = ["finite", "load", "remove_temporaries", "replace", "save"]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
-_TEMPORARY = re.compile(r"\.(?P<name>.+)\.[0-9]+")  # as replace names a file, with a number of a process
+_TEMPORARY = re.compile(r"\.(?P<name>.+)\.[0-9]+")  # name used by replace, with a process id
 
 
 def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> dict[str, object]:
-    """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` into a folder, which is made if need be.
+    """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` to a folder, creating it if necessary.
 
-    Each file is written under a temporary name and renamed, so that none is ever half there.
+    Each file is written under a temporary name and then renamed, so files are never incomplete.
 
     Returns
     -------
     dict
-        The summary with the SHA-256 of the trajectories, by which :func:`load` notices damage.
+        Summary with the SHA-256 of the trajectories, which :func:`load` uses to detect damage.
 
     Raises
     ------
     ResultError
-        The folder cannot be made or written.
+        The folder cannot be created or written.
     """
     saved = dict(summary)
 
     def write(path: Path) -> None:
         data.to_netcdf(path, engine="h5netcdf")
         saved[_DIGEST] = _digest(path)
-        (folder / _SUMMARY).unlink(missing_ok=True)  # it is about the trajectories that are now replaced
+        (folder / _SUMMARY).unlink(missing_ok=True)  # it describes the trajectories being replaced
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> dict[
 
 
 def finite(value: Any) -> Any:
-    """Plain data as JSON can have it, which knows no infinity and no nan: these become None."""
+    """Replace infinity and NaN, which JSON cannot represent, with None."""
     if isinstance(value, Mapping):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -72,8 +72,8 @@ def load(folder: str | Path) -> xr.Dataset:
     Raises
     ------
     ResultError
-        There is no such file, it is not what was saved with the summary beside it, or it is no
-        result of a run.
+        The file does not exist, does not match the checksum in its summary, or is not a result of
+        opfmodel.
     """
     import h5py
     import xarray as xr
@@ -81,25 +81,25 @@ def load(folder: str | Path) -> xr.Dataset:
     path = Path(folder)
     path = path / _DATA if os.path.isdir(path) else path  # noqa: PTH112 - any text
     if not os.path.lexists(path):
-        raise ResultError(f"{path}: there is no such file; 'opfmodel run' writes it")
+        raise ResultError(f"{path}: no such file; 'opfmodel run' creates it")
     check_file(path, ResultError, most_bytes=sys.maxsize)
     _check_digest(path)
     try:
-        with h5py.File(path, "r") as file:  # h5netcdf prints a traceback for what is no HDF5 file
+        with h5py.File(path, "r") as file:  # h5netcdf prints a traceback for files that are not HDF5
             dict(file.attrs)
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
         raise ResultError(f"{path}: not a result of opfmodel: {' '.join(str(error).split())}") from error
     lacking = [name for name in ("time", "bus", "pd", "qd") if name not in data.variables]
     if lacking:
-        raise ResultError(f"{path}: not a result of opfmodel: it has no {lacking[0]!r}")
+        raise ResultError(f"{path}: not a result of opfmodel: {lacking[0]!r} is missing")
     return data
 
 
 def _check_digest(path: Path) -> None:
-    """Raise :class:`ResultError` for trajectories that are not those of the summary beside them.
+    """Raise :class:`ResultError` unless the trajectories match the checksum in their summary.
 
-    The libraries that read a damaged file may do so for ever.
+    Without this check, the NetCDF libraries may hang on a damaged file.
     """
     summary = path.with_name(_SUMMARY)
     if path.name != _DATA or not summary.exists():
@@ -110,7 +110,7 @@ def _check_digest(path: Path) -> None:
         raise ResultError(f"{summary}: not JSON: {error}") from error
     saved = known.get(_DIGEST) if isinstance(known, dict) else None
     if saved is not None and saved != _digest(path):
-        raise ResultError(f"{path}: not what was saved with {_SUMMARY}: the checksums differ; run again")
+        raise ResultError(f"{path}: the checksum differs from that in {_SUMMARY}; repeat the run")
 
 
 def _digest(path: Path) -> str:
@@ -124,11 +124,11 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
     Parameters
     ----------
     write
-        Writes to the path that it is given, which does not exist.
+        Function that writes to the given path, which does not exist.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.unlink(missing_ok=True)  # of a killed process of the same number, or somebody's link
+        temporary.unlink(missing_ok=True)  # left by a killed process with the same id, or a link
         write(temporary)
         _sync(temporary)
         temporary.replace(path)
@@ -138,13 +138,13 @@ def replace(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def remove_temporaries(folder: Path, names: re.Pattern[str]) -> None:
-    """Delete what killed processes were writing by :func:`replace` into a folder that is this process' alone.
+    """Delete temporary files that killed processes left in a folder used by this process only.
 
     Parameters
     ----------
     names
-        The files that are written there; only regular files with the temporary name of such a file
-        are deleted.
+        Names of the files written there by :func:`replace`. Only regular files with the temporary name
+        of such a file are deleted.
     """
     with os.scandir(folder) as entries:
         for entry in entries:
@@ -154,9 +154,9 @@ def remove_temporaries(folder: Path, names: re.Pattern[str]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Flush a file, or the entries of a folder, to disk."""
     if path.is_dir() and os.name == "nt":
-        return  # a folder cannot be opened there, and a renamed file is safe
+        return  # Windows cannot open folders, and renaming is durable there
     descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""Network files: read and written through powerio, MATPOWER's checked word by word before."""
+"""Network files, read and written with powerio; MATPOWER files are checked strictly beforehand."""
 
 from opfmodel.network.cases.read import read_network
 from opfmodel.network.cases.write import write_network

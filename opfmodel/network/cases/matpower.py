@@ -1,13 +1,13 @@
-"""MATPOWER case files, checked word by word before a reader makes numbers of the words.
+"""Strict checks of MATPOWER case files before they are parsed.
 
-A reader made for speed takes what it can: bus 1.5 for bus 1, ``NaN`` cost coefficients for none, so
-that the cost is zero, and the first of two tables of one name where MATLAB has the last.
-:func:`read_case` splits a file into statements as MATLAB does, checks the tables that opfmodel uses,
-and writes each of them once, row by row, into a text that every reader understands alike.
+A parser made for speed is lenient: it reads bus 1.5 as bus 1, drops ``NaN`` cost coefficients, which
+makes the cost zero, and uses the first of two tables of the same name where MATLAB uses the last.
+:func:`read_case` splits a file into statements as MATLAB does, checks the tables that opfmodel uses, and
+writes each of them once, row by row, to a normalized text that every parser reads in the same way.
 
-It is no interpreter. Tables and scalars are plain numbers; what changes them afterwards (``mpc.bus(:,
-PD) = ...``) is handed on in its place for the reader to evaluate or refuse, control flow is reported
-and not followed, and whatever else could change the case is an error with its line.
+The module is not an interpreter. Tables and scalars must be plain numbers. Statements that modify them
+afterwards (``mpc.bus(:, PD) = ...``) are kept in place for the parser to evaluate or refuse. Control flow
+is reported but not executed, and any other statement that could change the case is an error with its line.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from opfmodel.errors import CaseError, listed
 
 __all__ = ["CaseFile", "read_case"]
 
-MOST_BYTES = 100 * MB  # PGLib's largest case, of 78,484 buses, has 27 MB
+MOST_BYTES = 100 * MB  # the largest PGLib case, with 78,484 buses, has 27 MB
 
-# Columns that every row must have, by table.
+# Required columns, by table.
 COLUMNS = {
     name: tuple(columns.split())
     for name, columns in {
@@ -44,9 +44,9 @@ COLUMNS = {
 SCALARS = ("baseMVA", "version")
 HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel", "dclinecost"}
 
-EXACT = 2**53  # whole numbers beyond it are not all there in floating point
+EXACT = 2**53  # all integers up to this are exact in floating point
 BUS_NUMBERS = ("GEN_BUS", "F_BUS", "T_BUS", "STORAGE_BUS")
-# Columns of whole numbers: the smallest and the largest.
+# Minimum and maximum of columns that hold integers.
 WHOLE = {
     "BUS_I": (1, EXACT),
     **dict.fromkeys(BUS_NUMBERS, (1, EXACT)),
@@ -63,18 +63,18 @@ WHOLE = {
 
 @dataclass(frozen=True)
 class Table:
-    """A matrix of a case file.
+    """A matrix in a case file.
 
     Attributes
     ----------
     line
-        Line on which it begins.
+        Line of the file on which the matrix begins.
     words
-        The words as they are written, row by row.
+        Entries as written, row by row.
     values
-        The numbers, ``(rows, columns)``.
+        Numerical values, ``(rows, columns)``.
     lines
-        Line of each row.
+        Line of the file of each row.
     """
 
     name: str
@@ -87,25 +87,25 @@ class Table:
         return len(self.lines)
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
-        """The numbers of a column."""
+        """Values of a column."""
         return self.values[:, COLUMNS[self.name].index(name)] if len(self) else np.zeros(0)
 
 
 @dataclass
 class CaseFile:
-    """A case file, checked.
+    """A checked case file.
 
     Attributes
     ----------
     text
-        The case in plain form, for a reader.
+        Normalized text of the case, for the parser.
     lines
         Line of each row, by table.
     changes
-        Lines and texts of the statements that change tables after their assignment; what became of
-        them the reader knows.
+        Line and text of each statement that modifies a table after its assignment. The parser
+        reports whether they are evaluated.
     remarks
-        What the user should know, with file and line.
+        Warnings for the user, with file and line.
     """
 
     path: Path
@@ -115,17 +115,14 @@ class CaseFile:
     remarks: list[str] = field(default_factory=list)
 
     def place(self, table: str, row: int) -> str:
-        """File and line of a row."""
+        """File and line of a table row."""
         return f"{self.path}:{self.lines[table][row]}"
 
     def unevaluated(self, statements: Sequence[tuple[int, str]]) -> str:
-        """The remark that statements have no effect."""
+        """Compose the warning that statements have no effect."""
         (line, code), *others = statements
-        more = f"; nor are those of lines {listed(str(n) for n, _ in others)}" if others else ""
-        return (
-            f"{self.path}:{line}: {_short(code)} is not evaluated{more}; "
-            "the numbers are those that the tables of the file state"
-        )
+        more = f"; nor are those on lines {listed(str(n) for n, _ in others)}" if others else ""
+        return f"{self.path}:{line}: {_short(code)} is not evaluated{more}; the tables are used as written"
 
 
 def read_case(path: Path) -> CaseFile:
@@ -134,9 +131,9 @@ def read_case(path: Path) -> CaseFile:
     Raises
     ------
     CaseError
-        The file cannot be opened; a table or scalar is not made of plain numbers, or its rows differ
-        in length; a bus number, type, status, or the form of a cost is not one; a statement is not
-        understood.
+        The file cannot be opened, a table or scalar does not consist of plain numbers, the rows of a
+        table differ in length, a bus number, type, status or cost model is invalid, or a statement
+        is not understood.
     """
     text = read_text(path, CaseError, MOST_BYTES).removeprefix("\ufeff").replace("\r", "\n")
     parser = _Parser(path)
@@ -152,14 +149,14 @@ def read_case(path: Path) -> CaseFile:
 
 _BLANK = re.compile(r"(?:[\s;,]+|%[^\n]*|\.\.\.[^\n]*)*+")
 _TABLE = re.compile(rf"mpc\.(?:{'|'.join(COLUMNS)})\s*=\s*\[")
-# A quote begins a string unless it follows what can be transposed.
+# A quote begins a string unless it follows an operand, where it means transposition.
 _MARK = re.compile(
     r"""%[^\n]*|\.\.\.[^\n]*\n?|(?<![\w)\]}.'])'(?:[^'\n]|'')*+'|"(?:[^"\n]|"")*+"|[\[({]|[])}]|[;,\n]"""
 )
 
 
 def _without_block_comments(path: Path, text: str) -> str:
-    """The text with ``%{ ... %}`` emptied; the lines keep their numbers."""
+    """Blank out ``%{ ... %}`` comments, keeping the line numbers."""
     if "%{" not in text:
         return text
     begun: list[int] = []
@@ -177,7 +174,7 @@ def _without_block_comments(path: Path, text: str) -> str:
 
 
 def _statements(path: Path, text: str) -> Iterator[tuple[int, str]]:
-    """Line and text of each statement; separators and comments between them are left out."""
+    """Line and text of each statement, without the separators and comments in between."""
     line, counted = 1, 0
     start = _end_of(_BLANK, text, 0)
     while start < len(text):
@@ -200,7 +197,7 @@ def _end_of(pattern: re.Pattern[str], text: str, start: int) -> int:
 
 
 def _end_of_table(text: str, start: int) -> int:
-    """Position after the bracket that closes a table of numbers, -1 if there is none."""
+    """Position after the closing bracket of a numeric table, or -1 if there is none."""
     close = text.find("]", start)
     while close >= 0:
         before = text[max(text.rfind("\n", start, close), start) : close]
@@ -212,7 +209,7 @@ def _end_of_table(text: str, start: int) -> int:
 
 
 def _end_of_statement(text: str, start: int) -> int:
-    """Position of the separator or comment that ends a statement, -1 if a bracket is open."""
+    """Position of the separator or comment that ends a statement, or -1 if a bracket is still open."""
     depth = 0
     for found in _MARK.finditer(text, start):
         mark = found.group()
@@ -225,7 +222,7 @@ def _end_of_statement(text: str, start: int) -> int:
     return -1 if depth > 0 else len(text)
 
 
-# What they mean ---------------------------------------------------------------------------------
+# Meaning of statements --------------------------------------------------------------------------
 
 _FUNCTION = re.compile(r"function\b")
 _HEADER = re.compile(r"function\s+(?:mpc|\[\s*mpc\s*\])\s*=\s*\w+\s*(?:\(.*\)\s*)?")
@@ -241,27 +238,27 @@ _NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|
 
 
 class _Parser:
-    """Takes statements one by one and keeps what makes the case."""
+    """Process statements one by one and collect the contents of the case."""
 
     def __init__(self, path: Path) -> None:
         self.case = CaseFile(path)
         self.tables: dict[str, Table] = {}
-        self.parts: dict[str | int, str] = {}  # of the plain text, in order: by name or number
+        self.parts: dict[str | int, str] = {}  # normalized text in order, by name or number
         self.assigned: dict[str, int] = {}
         self.changed: set[str] = set()
         self.unread: dict[str, int] = {}
-        self.blocks: list[tuple[int, str]] = []  # of control flow that are open
+        self.blocks: list[tuple[int, str]] = []  # open control-flow blocks
         self.skipped: list[tuple[int, str]] = []
         self.begun = False
         self.handed_on = 0
 
     def take(self, line: int, code: str) -> bool:
-        """Take one statement; whether more can follow."""
+        """Process one statement; return whether more may follow."""
         if _FUNCTION.match(code):
-            if self.begun:  # further functions of the file, which nothing calls
+            if self.begun:  # local functions, which are never called
                 return False
             if not _HEADER.fullmatch(code):
-                raise self._error(line, f"{_short(code)}: 'function mpc = NAME' is expected")
+                raise self._error(line, f"{_short(code)}: must be 'function mpc = NAME'")
         elif self.blocks or _OPENING.match(code):
             self._take_in_block(line, code)
         elif assignment := _ASSIGNMENT.match(code):
@@ -274,21 +271,21 @@ class _Parser:
             self._hand_on(code)
         else:
             raise self._error(
-                line, f"{_short(code)} is not understood; a case assigns numbers: mpc.NAME = [ ... ];"
+                line, f"{_short(code)} is not understood; use plain assignments: mpc.NAME = [ ... ];"
             )
         self.begun = True
         return True
 
     def finish(self) -> CaseFile:
-        """The case of all statements."""
+        """Assemble the case after all statements."""
         if self.blocks:
             line, code = self.blocks[0]
-            raise self._error(line, f"{_short(code)} has no end")
+            raise self._error(line, f"{_short(code)} has no matching 'end'")
         for name in ("baseMVA", "bus", "branch"):
             if name not in self.assigned:
-                raise CaseError(f"{self.case.path}: cannot be read as a network: there is no mpc.{name}")
+                raise CaseError(f"{self.case.path}: cannot be read as a network: mpc.{name} is missing")
         for name, line in self.unread.items():
-            self._remark(line, f"mpc.{name} is not read")
+            self._remark(line, f"mpc.{name} is ignored")
         if self.skipped:
             self.case.remarks.append(self.case.unevaluated(self.skipped))
         self.case.text = "".join(self.parts.values())
@@ -296,7 +293,7 @@ class _Parser:
         return self.case
 
     def _take_in_block(self, line: int, code: str) -> None:
-        """Control flow is not followed; it may change tables, which is reported, but not make them."""
+        """Skip control flow with a warning; refuse assignments of tables and scalars inside it."""
         if _OPENING.match(code):
             if not self.blocks:
                 self.skipped.append((line, code))
@@ -304,7 +301,7 @@ class _Parser:
         elif _END.fullmatch(code):
             self.blocks.pop()
         elif (assignment := _ASSIGNMENT.match(code)) and assignment[1] in (*COLUMNS, *SCALARS):
-            raise self._error(line, f"mpc.{assignment[1]} is assigned within {_short(self.blocks[0][1])}")
+            raise self._error(line, f"mpc.{assignment[1]} is assigned inside {_short(self.blocks[0][1])}")
 
     def _assign(self, line: int, name: str, value: str) -> None:
         if name in COLUMNS:
@@ -317,14 +314,11 @@ class _Parser:
                 self.unread.setdefault(name, line)
             return
         if name in self.changed:
-            raise self._error(line, f"mpc.{name} is assigned again after statements that change it")
+            raise self._error(line, f"mpc.{name} is assigned again after statements that modify it")
         if name in self.assigned:
-            # MATLAB runs the file, so that the last assignment counts, and everyone who computed
-            # with the file in MATPOWER had it so. The other tables may well be meant to differ, or
-            # have been forgotten: the user is told of both.
-            self._remark(
-                line, f"mpc.{name} is assigned again; this is taken, not that of line {self.assigned[name]}"
-            )
+            # MATLAB runs the file, so MATPOWER uses the last assignment. The earlier one may be a
+            # leftover or intended, so the user is warned.
+            self._remark(line, f"mpc.{name} is assigned again; this overrides line {self.assigned[name]}")
         self.assigned[name] = line
         self.parts.pop(name, None)
         self.parts[name] = code
@@ -332,7 +326,9 @@ class _Parser:
     def _change(self, line: int, code: str, name: str, bracket: str) -> None:
         if name in (*COLUMNS, *SCALARS):
             if bracket != "(":
-                raise self._error(line, f"{_short(code)} is not understood; mpc.{name} is made of numbers")
+                raise self._error(
+                    line, f"{_short(code)} is not understood; mpc.{name} must consist of numbers"
+                )
             self.changed.add(name)
             self.case.changes.append((line, code))
             self._hand_on(code)
@@ -340,7 +336,7 @@ class _Parser:
             self.unread.setdefault(name, line)
 
     def _hand_on(self, code: str) -> None:
-        """Leave a statement to the reader, in its place."""
+        """Pass a statement to the parser, in its original position."""
         self.handed_on += 1
         self.parts[self.handed_on] = code + ";\n"
 
@@ -352,19 +348,19 @@ class _Parser:
         return f"mpc.{name} = {value};\n"
 
     def _table(self, line: int, name: str, value: str) -> tuple[Table, str]:
-        """A table, and its text without comments, commas and continued lines."""
+        """Parse a table; return it and its text without comments, commas and line continuations."""
         close = _end_of_table(value, 1)
         if not value.startswith("[") or value[close:].strip():
             raise self._error(line, f"mpc.{name} = {_short(value)}: must be a table [ ... ] of numbers")
         body = re.sub("%[^\n]*", "", value[1 : close - 1])
         continued = "..." in body
         if continued:
-            body = re.sub(r"\.\.\.[^\n]*\n?", "\f", body)  # a blank that the count of lines knows
+            body = re.sub(r"\.\.\.[^\n]*\n?", "\f", body)  # white space that still counts as a line
         if "," in body:
             odd = re.search(r"(?:^|[;,\n])[^\S\n]*,", body)
             if odd:
                 at = line + body.count("\n", 0, odd.end()) + body.count("\f", 0, odd.end())
-                raise self._error(at, f"mpc.{name}: there is no number before a comma")
+                raise self._error(at, f"mpc.{name}: missing number before a comma")
             body = body.replace(",", " ")
         words: list[str] = []
         widths: list[int] = []
@@ -383,7 +379,7 @@ class _Parser:
             odd_row = next(i for i, width in enumerate(widths) if width != usual)
             whose = _whose(self.tables, name, odd_row)
             raise self._error(
-                lines[odd_row], f"{whose}: the row has {widths[odd_row]} numbers; others have {usual}"
+                lines[odd_row], f"{whose}: the row has {widths[odd_row]} numbers; the other rows have {usual}"
             )
         if not (_plain(body) and (values := _floats(words)) is not None):
             at, word = next((i, w) for i, w in enumerate(words) if not _NUMBER.fullmatch(w))
@@ -406,7 +402,7 @@ _DIGITS = str.maketrans("", "", "0123456789+-.eE \t\n\f;")
 
 
 def _plain(body: str) -> bool:
-    """Whether a table has nothing but digits, infinity and NaN in it."""
+    """Whether a table contains only numbers, infinity and NaN."""
     for word in ("Inf", "inf", "NaN", "nan"):
         body = body.replace(word, "")
     return not body.translate(_DIGITS)
@@ -420,7 +416,7 @@ def _floats(words: Sequence[str]) -> npt.NDArray[np.float64] | None:
 
 
 def _short(code: str) -> str:
-    """The beginning of a statement, in quotes."""
+    """Beginning of a statement, in quotes."""
     first = code.strip().split("\n", 1)[0].strip()
     return repr(first if len(first) <= 60 else first[:57] + "...")
 
@@ -429,14 +425,14 @@ def _short(code: str) -> str:
 
 
 class _Checks:
-    """What the tables of a case must keep before anyone makes numbers of them."""
+    """Consistency checks of the tables of a case."""
 
     def __init__(self, case: CaseFile, tables: Mapping[str, Table]) -> None:
         self.case = case
         self.tables = tables
 
     def run(self) -> None:
-        """Raise an error for the first fault."""
+        """Raise an error for the first invalid entry."""
         for table in self.tables.values():
             if len(table):
                 self._columns(table)
@@ -445,41 +441,41 @@ class _Checks:
             self._costs(self.tables["gencost"])
 
     def _columns(self, table: Table) -> None:
-        """All columns are there, and numbers of buses, types and states are whole."""
+        """Check that all columns are present, and that bus numbers, types and states are integers."""
         columns = COLUMNS[table.name]
         if table.values.shape[1] < len(columns):
             raise CaseError(
                 f"{self.case.place(table.name, 0)}: mpc.{table.name}: {table.values.shape[1]} columns; "
-                f"at least {len(columns)} are needed: {', '.join(columns)}"
+                f"at least {len(columns)} are required: {', '.join(columns)}"
             )
         for column in columns:
             if column in WHOLE:
                 low, high = WHOLE[column]
                 values = table.column(column)
                 sound = (values >= low) & (values <= high) & (values == np.floor(values))
-                accepted = f"of at least {low}" if high == EXACT else f"from {low} to {high}"
-                self._require(table, column, sound, f"must be a whole number {accepted}")
+                accepted = f"at least {low}" if high == EXACT else f"from {low} to {high}"
+                self._require(table, column, sound, f"must be an integer {accepted}")
 
     def _buses(self) -> None:
-        """No bus is there twice, and nothing is at a bus that is not there."""
+        """Check that bus numbers are unique, and that all referenced buses exist."""
         buses = self.tables["bus"]
         numbers = buses.column("BUS_I")
         first = np.zeros(len(numbers), dtype=bool)
         first[np.unique(numbers, return_index=True)[1]] = True
-        self._require(buses, "BUS_I", first, "there is a bus of this number already")
+        self._require(buses, "BUS_I", first, "duplicate bus number")
         for table in self.tables.values():
             for column in BUS_NUMBERS:
                 if column in COLUMNS[table.name]:
                     known = np.isin(table.column(column), numbers)
-                    self._require(table, column, known, "there is no such bus")
+                    self._require(table, column, known, "no such bus")
 
     def _costs(self, costs: Table) -> None:
-        """A row for every generator, or two, and in every row as many numbers as it states."""
+        """Check that there are one or two rows per generator, and that each has NCOST numbers or points."""
         generators = len(self.tables.get("gen", ()))
         if len(costs) not in (generators, 2 * generators):
             raise CaseError(
                 f"{self.case.path}:{costs.line}: mpc.gencost has {len(costs)} rows for {generators} "
-                "generators; one for each is needed, or two with costs of reactive power"
+                "generators; one per generator is required, or two with costs of reactive power"
             )
         if not len(costs):
             return
@@ -487,14 +483,14 @@ class _Checks:
         counts = costs.column("NCOST")
         fixed = len(COLUMNS["gencost"])
         given = costs.values.shape[1] - fixed
-        self._require(costs, "NCOST", counts >= pairs, "a piecewise-linear cost has at least 2 points")
-        self._require(costs, "NCOST", counts * pairs <= given, f"the row has {given} numbers after it")
+        self._require(costs, "NCOST", counts >= pairs, "must be at least 2 for a piecewise-linear cost")
+        self._require(costs, "NCOST", counts * pairs <= given, f"only {given} numbers follow in the row")
         if np.any(costs.values[generators:, fixed:]):
             place = self.case.place("gencost", generators)
-            self.case.remarks.append(f"{place}: costs of reactive power are not read")
+            self.case.remarks.append(f"{place}: costs of reactive power are ignored")
 
     def _require(self, table: Table, column: str, sound: npt.NDArray[np.bool_], accepted: str) -> None:
-        """Raise an error that names the first row that is not sound, and what it has there."""
+        """Raise an error that names the first invalid row and its value."""
         if sound.all():
             return
         row = int(np.argmin(sound))
@@ -504,7 +500,7 @@ class _Checks:
 
 
 def _whose(tables: Mapping[str, Table], table: str, row: int) -> str:
-    """The generator of a row, as it is named in the network; the table, whose other rows have no names."""
+    """Name of the generator in a row, as in the network; the table name for other tables."""
     if table not in ("gen", "gencost"):
         return f"mpc.{table}"
     generators = len(tables.get("gen", ()))

@@ -1,8 +1,8 @@
-"""Network files, read through powerio.
+"""Reading of network files with powerio.
 
-Reading covers MATPOWER ``.m``, PSS/E ``.raw``, pandapower JSON, PyPSA CSV folders and the other
-formats of powerio. What the reader finds remarkable reaches the user as :class:`CaseWarning`;
-equipment in service that opfmodel does not model is an error, never silently left out.
+Supported formats are MATPOWER ``.m``, PSS/E ``.raw``, pandapower JSON, PyPSA CSV folders and the other
+formats of powerio. Diagnostics of powerio are issued as :class:`CaseWarning`. Equipment in service that
+opfmodel does not model is an error and never dropped silently.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ __all__ = ["read_network"]
 def read_network(path: str | Path, *, default_cost: Cost | None = None, format: str | None = None) -> Network:
     """Read a network file.
 
-    Buses are named by their number or identifier, generators ``gen1, gen2, ...`` in the order of
-    the file, branches ``FROM-TO`` (with ``#2``, ``#3`` for parallel ones), loads, shunts and
+    Buses are named after their number or identifier, generators ``gen1, gen2, ...`` in file order,
+    branches ``FROM-TO`` (with suffixes ``#2``, ``#3`` for parallel branches), and loads, shunts and
     storages ``loadBUS``, ``shuntBUS`` and ``storageBUS``.
 
     Parameters
     ----------
     path
-        The file, or the folder of a PyPSA CSV export.
+        File, or folder of a PyPSA CSV export.
     default_cost
-        Cost of generators for which the file states none, for instance in PSS/E files.
+        Cost of generators without cost data, for example in PSS/E files.
     format
-        Name of the format if it cannot be told from the file, for instance ``"psse"``.
+        Name of the format, such as ``"psse"``, if it cannot be inferred from the file.
 
     Raises
     ------
     CaseError
-        The file is missing, not a regular one, damaged, of an unknown format, has generators without
-        cost and no ``default_cost`` is given, or holds equipment in service that opfmodel does not
-        model or data that break a rule.
+        The file is missing, not a regular file, corrupt or in an unknown format; it contains invalid
+        data, or equipment in service that opfmodel does not model; or generators lack cost data and
+        no ``default_cost`` is given.
 
     Notes
     -----
-    Equipment out of service is kept as it is (:meth:`opfmodel.network.Component.check_declared`),
-    unless its cost cannot be stated, when it is left out with a warning. The tables of MATPOWER files
-    are checked by :mod:`opfmodel.network.cases.matpower` first.
+    Equipment out of service is kept unchanged (:meth:`opfmodel.network.Component.check_declared`).
+    Only generators whose cost cannot be represented are left out, with a warning. MATPOWER files are
+    checked by :mod:`opfmodel.network.cases.matpower` first.
     """
     path = Path(path)
     module, source = _parse(path, format)
@@ -66,7 +66,7 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
 
 
 def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
-    """What powerio makes of a file; its warnings and ours are given."""
+    """Parse a file with powerio, and issue the warnings of powerio and of this package."""
     import powerio
 
     source = read_case(path) if _is_matpower(path, format) else None
@@ -77,14 +77,14 @@ def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
             for file in sorted(path.iterdir()) if is_folder(path) else [path]:
                 if not is_folder(file):
                     check_file(file, CaseError)
-            # powerio refuses symbolic links; a user who names one means what it points to.
+            # powerio refuses symbolic links, so they are resolved first.
             module = powerio.parse(str(path.resolve()), format=format)
     except (powerio.PowerIOError, OSError, UnicodeError) as error:
         raise CaseError(f"{path}: cannot be read as a network: {error}") from error
     diagnostics = list(module.diagnostics)
     if source is not None:
         if source.changes and any(d.code == _NOT_EVALUATED for d in diagnostics):
-            # powerio evaluates all of them or none; unlike it we know the lines.
+            # powerio evaluates all of them or none, but does not report their lines.
             source.remarks.append(source.unevaluated(source.changes))
             diagnostics = [d for d in diagnostics if d.code != _NOT_EVALUATED]
         for remark in source.remarks:
@@ -107,16 +107,16 @@ def _is_matpower(path: Path, format: str | None) -> bool:
 
 
 def _balanced(path: Path, value: Any) -> Any:
-    """The balanced network inside whatever powerio returned."""
+    """Extract the balanced network from the value returned by powerio."""
     import powerio
 
     if isinstance(value, powerio.TimeSeries):
-        warn(f"{path}: the file holds {len(value)} snapshots; the network of the first is taken")
+        warn(f"{path}: the file contains {len(value)} snapshots; only the first is used")
         value = value[0]
     if hasattr(value, "network"):
         value = value.network
     if not isinstance(value, powerio.BalancedNetwork):
-        raise CaseError(f"{path}: holds a {type(value).__name__}, not a balanced transmission network")
+        raise CaseError(f"{path}: contains a {type(value).__name__}; must be a balanced transmission network")
     if any(switch["closed"] for switch in value.switches):
         value = value.merge_buses(closed_switches=True).network
         warn(f"{path}: buses joined by closed switches were merged")
@@ -130,18 +130,18 @@ def _balanced(path: Path, value: Any) -> Any:
         if members:
             raise CaseError(
                 f"{path}: {len(members)} {what} in service, which opfmodel does not model; "
-                "take them out of service, or replace them by branches, generators and loads"
+                "take them out of service or replace them with branches, generators and loads"
             )
     return value
 
 
 def _records(case: Any, kind: str) -> Sequence[Mapping[str, Any]]:
-    """The records of a kind that is seldom there: powerio walks through the case even for none."""
+    """Records of a rare kind, guarded by its count: powerio scans the whole case even if there are none."""
     return getattr(case, kind) if getattr(case, f"n_{kind}") else ()
 
 
 class _Reader:
-    """Turns powerio's records into components."""
+    """Convert powerio records to components."""
 
     def __init__(
         self,
@@ -156,11 +156,11 @@ class _Reader:
         self.case = case
         self.network = network
         self.default_cost = default_cost
-        self.numbers: dict[str, int] = {}  # how many components ask for a name
+        self.numbers: dict[str, int] = {}  # number of components per requested name
         self.bus_row = {record["id"]: row for row, record in enumerate(case.buses)}
 
     def read(self) -> Network:
-        """Declare everything."""
+        """Declare all components."""
         self._buses()
         self._branches()
         self._generators()
@@ -177,7 +177,7 @@ class _Reader:
         return self.network
 
     def _add(self, name: str, component: Component, table: str, row: int | None) -> None:
-        """Declare the component of a row of a table, numbering the second and later ones of a name."""
+        """Declare the component of a table row; repeated names get a numbered suffix."""
         number = self.numbers[name] = self.numbers.get(name, 0) + 1
         unique = name if number == 1 else f"{name}#{number}"
         try:
@@ -187,7 +187,7 @@ class _Reader:
             raise CaseError(f"{self._place(table, row)}: {error}") from error
 
     def _place(self, table: str, row: int | None) -> str:
-        """The file, and the line where it is known."""
+        """File and, if known, line of a table row."""
         if self.source is None or row is None:
             return str(self.path)
         return self.source.place(table, row)
@@ -241,7 +241,7 @@ class _Reader:
             except CaseError as error:
                 if in_service:
                     raise
-                warn(f"{error}; the generator is out of service and left out")
+                warn(f"{error}; the generator is out of service and is left out")
                 continue
             if cost is None:
                 without.append(name)
@@ -262,19 +262,19 @@ class _Reader:
             )
         if without:
             raise CaseError(
-                f"{self.path}: no cost data for {listed(without)}; give a cost for generators without "
+                f"{self.path}: no cost data for {listed(without)}; give a default cost "
                 "(default_cost=Polynomial(0, 30, 0) in Python, --default-cost 30 on the command line, "
                 "network.default_cost in a scenario)"
             )
 
     def _cost(self, name: str, row: int, record: Mapping[str, Any]) -> Cost:
-        """The cost of a generator; an error unless it is one of the two forms, and complete."""
+        """Cost of a generator; raises an error unless the model is known and the data are complete."""
         model, width = record["model"], 2 if record["model"] == 1 else 1
         values = [float(c) for c in record["coeffs"]][: width * int(record["ncost"])]
         if model not in (1, 2) or not values or len(values) != width * int(record["ncost"]):
             raise CaseError(
                 f"{self._place('gencost', row)}: {name}: cost: model {model} with {record['ncost']} terms "
-                f"and {len(values)} numbers; a polynomial or piecewise-linear cost is needed"
+                f"and {len(values)} numbers; must be a polynomial or piecewise-linear cost"
             )
         if model == 1:
             return PiecewiseLinear(tuple(zip(values[0::2], values[1::2], strict=True)))
@@ -297,8 +297,8 @@ class _Reader:
         losses = [key for key in ("r", "x", "p_loss", "q_loss") if number.get(key)]
         if losses:
             warn(
-                f"{self.path}: storage at bus {record['bus']}: {', '.join(losses)} are left out; "
-                "state losses by efficiencies and standing_loss"
+                f"{self.path}: storage at bus {record['bus']}: {', '.join(losses)} are ignored; "
+                "model losses with efficiencies and standing_loss"
             )
         rating = number.get("thermal_rating", math.inf)
         self._add(
@@ -320,5 +320,5 @@ class _Reader:
 
 
 def _angles(low: float, high: float) -> tuple[float, float]:
-    """MATPOWER writes 0, 0 where there is no limit."""
+    """Angle limits; MATPOWER writes 0, 0 for no limit."""
     return (-360.0, 360.0) if low == high == 0 else (low, high)

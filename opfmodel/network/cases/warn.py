@@ -1,4 +1,4 @@
-"""What the user of a network file should know."""
+"""Warnings about network files."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ __all__ = ["warn"]
 
 
 def warn(message: str) -> None:
-    """Warn of something remarkable in a file."""
+    """Issue a :class:`CaseWarning`."""
     warnings.warn(visible(message), CaseWarning, stacklevel=3)

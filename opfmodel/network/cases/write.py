@@ -1,4 +1,4 @@
-"""Network files, written as MATPOWER cases through powerio."""
+"""Writing of networks as MATPOWER cases with powerio."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ __all__ = ["write_network"]
 def write_network(network: Network, path: str | Path) -> Path:
     """Write a network as a MATPOWER case, version 2.
 
-    Buses keep their numbers if all names are positive integers and are numbered from 1 otherwise.
-    Storages are written as the table ``mpc.storage`` that PowerModels uses. What the format
-    cannot hold is reported as :class:`CaseWarning`.
+    Buses keep their numbers if all names are positive integers, and are numbered from 1 otherwise.
+    Storages are written to the table ``mpc.storage`` of PowerModels. Data that the format cannot
+    represent are left out with a :class:`CaseWarning`.
 
     Raises
     ------
     CaseError
-        The file cannot be written, or its name does not end in ``.m``.
+        The file cannot be written, its name does not end in ``.m``, or the power range of a storage in
+        service does not include 0.
     """
     import powerio
 
     path = Path(path)
     if path.suffix != ".m":
-        raise CaseError(f"{path}: a MATPOWER case ends in .m")
+        raise CaseError(f"{path}: the name of a MATPOWER case must end in .m")
     names = network.of(Bus)
     plain = all(re.fullmatch("[1-9][0-9]{0,14}", name) for name in names)
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
     if not plain:
-        warn(f"{path}: buses are numbered from 1 in the order of their declaration")
+        warn(f"{path}: buses are numbered from 1 in order of declaration")
     idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
     if idle:
-        warn(f"{path}: {listed(idle)}: MATPOWER has no status of loads and shunts; they are left out")
+        warn(f"{path}: {listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
     tables = {
         "version": 2,
         "baseMVA": network.base_mva,
@@ -89,7 +90,9 @@ def _generator_row(generator: Generator, ids: Mapping[str, int], base_mva: float
 
 def _branch_row(path: Path, name: str, branch: Branch, ids: Mapping[str, int]) -> list[float]:
     if branch.g or branch.g_from or branch.g_to or branch.b_from != branch.b_to:
-        warn(f"{path}: {name}: MATPOWER has no shunt conductance or uneven charging; they are left out")
+        warn(
+            f"{path}: {name}: MATPOWER has no branch shunt conductance or uneven charging; they are left out"
+        )
     rating = 0.0 if branch.rating is None else branch.rating
     charging = branch.b + 2 * min(branch.b_from, branch.b_to, key=abs)
     row = [ids[branch.from_bus], ids[branch.to_bus], branch.r, branch.x, charging, rating, rating, rating]
@@ -124,7 +127,9 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
         ends = [v if isinstance(v, tuple) else (-v, v) for v in (storage.power, storage.q)]
         (p_min, p_max), (q_min, q_max) = ends
         if storage.in_service and (p_min > 0 or p_max < 0):
-            raise CaseError(f"{path}: {name}: power = {storage.power}: MATPOWER needs a range around 0")
+            raise CaseError(
+                f"{path}: {name}: power = {storage.power}: MATPOWER requires a range that includes 0"
+            )
         rating = 0.0 if storage.rating is None else storage.rating
         values = [
             ids[storage.bus], 0, 0, storage.initial, storage.energy, p_max, -p_min,
@@ -138,7 +143,7 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
 
 
 def _plain(number: float) -> str:
-    """A number as a file has it; NumPy's would be written with their type."""
+    """Format a number for a file; the ``repr`` of NumPy numbers includes their type."""
     return repr(number if isinstance(number, int) else float(number))
 
 
