@@ -1,4 +1,4 @@
-"""The command line: what it prints, what it writes, how it ends."""
+"""The command line: output, files and exit status."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
 
 
 def start(script: str, *arguments: object) -> subprocess.Popen[str]:
-    """A process that runs a script and then the command line, and obeys Ctrl-C."""
+    """Start a process that runs a script and then the command line, and responds to Ctrl-C."""
     obey = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     return subprocess.Popen(
         [
@@ -308,7 +308,7 @@ def test_iterations_go_to_standard_error() -> None:
     assert "iter    objective" in err
 
 
-# tells on standard error when a step is done, so that the interrupt comes in the middle of the run
+# reports every step on standard error, so that the test can interrupt the run midway
 TELL = """
 import opfmodel.simulation as simulation, sys
 apply = simulation.NominalPlant.apply
@@ -336,7 +336,7 @@ def test_ctrl_c_keeps_finished_steps(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
-# what a library prints past Python's own stream
+# output of a library that bypasses Python's standard output
 PRINT = """
 import ctypes, os
 from opfmodel.plan import MultiStage
@@ -453,14 +453,14 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
 def test_what_is_not_finite_is_null_in_json(call: Call, tmp_path: Path) -> None:
     (tmp_path / "weak.yaml").write_text(WEAK)
     code, out, _ = call("run", tmp_path / "weak.yaml", "--out", tmp_path, "--json", "--no-figures")
-    assert code == 1  # the plant found no state
+    assert code == 1  # the plant found no solution
     for text in (out, (tmp_path / "summary.json").read_text()):
         summary = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
         assert (summary["status"], summary["unsolved_steps"]) == ("unsolved", 1)
         assert summary["cost"] is None
 
 
-# a line too weak for the AC equations, planned without them
+# a line too weak for AC power flow, planned with DC
 WEAK = """
 network:
   buses: {a: {reference: true}, b: {}}

@@ -305,12 +305,12 @@ def greedy(self, actual, time, stages):
 @pytest.mark.parametrize(
     ("expected", "message"),
     [
-        (shortened, "expects one value per stage"),
-        (forgetful, "expects every series that there is and no other"),
+        (shortened, "one value per stage"),
+        (forgetful, "every actual series and no other"),
         (undefined, "is not a number"),
-        (moody, "the same when it is asked again, in another order"),
-        (hurried, "expects the same for however many stages"),
-        (greedy, "leaves what happens as it is"),
+        (moody, "the same values when called again in another order"),
+        (hurried, "the same values for any number of stages"),
+        (greedy, "does not modify the actual series"),
     ],
 )
 def test_a_forecast_that_breaks_a_rule_is_caught(expected: object, message: str) -> None:
