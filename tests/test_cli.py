@@ -272,14 +272,14 @@ def test_solver_options_that_are_refused_are_bad_input(call: Call) -> None:
     assert "no_such" in err
 
 
-def test_a_folder_that_cannot_be_written_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error(call: Call, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     code, _, err = call("run", CASE5, *SHORT, "--out", tmp_path / "file")
     assert code == 2
     assert "results cannot be written" in err
 
 
-def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_an_error(call: Call, tmp_path: Path) -> None:
     (tmp_path / "trajectories.nc").write_text("junk")
     code, _, err = call("plot", tmp_path)
     assert code == 2
@@ -354,7 +354,7 @@ MultiStage.solve = banner
     [("solve", CASE14), ("solve", CASE14, "--verbose"), ("run", CASE5, *SHORT), ("table",)],
     ids=["solve", "verbose", "run", "table"],
 )
-def test_what_solvers_print_is_not_among_the_results(arguments: tuple, tmp_path: Path) -> None:
+def test_solver_output_is_separate_from_results(arguments: tuple, tmp_path: Path) -> None:
     if arguments[0] == "table":
         (tmp_path / "s.yaml").write_text(WEAK.replace("p: 300", "p: 3"))
         arguments = ("table", tmp_path / "s.yaml")
@@ -375,7 +375,7 @@ MultiStage.solve = solve
 
 
 @pytest.mark.parametrize("command", ["solve", "table"])
-def test_ctrl_c_is_said_and_ends_with_1(command: str) -> None:
+def test_ctrl_c_is_reported_and_ends_with_1(command: str) -> None:
     process = start(PRESS, command, CASE5)
     out, err = process.communicate()
     assert (process.returncode, out, err) == (1, "", "error: interrupted\n")
@@ -392,7 +392,7 @@ def test_help_needs_no_heavy_library() -> None:
 HEAVY = ("--set", "profiles=[{scale: {factor: 1.5}}]", "--set", "controller.generator_delay=0")
 
 
-def test_solve_says_what_is_short(call: Call) -> None:
+def test_solve_reports_shortfalls(call: Call) -> None:
     arguments = ("solve", CASE5, *HEAVY, "--horizon", 2, "--on-infeasible", "elastic")
     code, out, _ = call(*arguments, "--json")
     result = json.loads(out)
@@ -406,7 +406,7 @@ def test_solve_says_what_is_short(call: Call) -> None:
     assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
 
 
-def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
+def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     short = (*HEAVY, "--set", "time.steps=2", "--set", "controller.horizon=2", "--out", tmp_path)
     code, out, _ = call("run", CASE5, *short, "--on-infeasible", "elastic", "--json")
     summary = json.loads(out)
@@ -450,7 +450,7 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
     assert float(load(tmp_path)["flow_excess"].max()) == pytest.approx(summary["largest_flow_excess"])
 
 
-def test_what_is_not_finite_is_null_in_json(call: Call, tmp_path: Path) -> None:
+def test_non_finite_values_are_null_in_json(call: Call, tmp_path: Path) -> None:
     (tmp_path / "weak.yaml").write_text(WEAK)
     code, out, _ = call("run", tmp_path / "weak.yaml", "--out", tmp_path, "--json", "--no-figures")
     assert code == 1  # the plant found no solution

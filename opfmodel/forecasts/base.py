@@ -18,7 +18,7 @@ FORECAST_FIELDS = ("p", "q", "p_max")
 
 
 class Forecast:
-    """Base class of forecasts of the time series, made at a step for the steps from there on.
+    """Base class of forecasts, made at one step for that step and later ones.
 
     Register subclasses as entry points in the group ``opfmodel.forecasts``. The keyword arguments of
     the constructor are the options in a scenario file; options annotated as paths are relative to

@@ -19,8 +19,8 @@ _ISSUED = "issued"
 class File(Forecast):
     """Forecasts from a CSV file, with columns headed ``component.field``.
 
-    A row is a step. In a column ``issued``, each row has the step at which it was issued; the rows of
-    one issue cover the steps from that one on, and the latest issue applies. Without this column, all
+    Each row is one step. An optional column ``issued`` holds the step at which a row was issued; the
+    rows of one issue cover the steps from that one on, and the latest issue applies. Without it, all
     rows were issued at step 0. Lines that begin with ``#`` are comments. Series that are not in the
     file are known.
 

@@ -9,7 +9,7 @@ __all__ = ["Perfect"]
 
 
 class Perfect(Forecast):
-    """The actual series."""
+    """Perfect foresight of the actual series."""
 
     perfect = True
 

@@ -16,8 +16,8 @@ class Noise(ProfileRule):
     .. math::
         n(t) = \phi\, n(t-1) + \sqrt{1 - \phi^2}\, \sigma\, w(t), \quad w(t) \sim N(0, 1)
 
-    The standard deviation is :math:`\sigma` from the first step on. Large deviations can make demand
-    negative, with more renewable feed-in than demand. Power factors do not change. Random numbers
+    The process has the standard deviation :math:`\sigma` from the first step on. Large deviations can
+    make demand negative, when renewable feed-in exceeds it. Power factors do not change. Random numbers
     come from NumPy's PCG64 generator and are the same on every machine.
 
     Parameters

@@ -52,7 +52,7 @@ class Step(ProfileRule):
         """Change the demand in the steps from ``first`` to ``last``."""
         if self.first >= book.steps:
             warnings.warn(
-                f"step: first = {self.first}: the series have {book.steps} values; nothing changes",
+                f"step: first = {self.first}: has no effect; the series have {book.steps} values",
                 ProfileWarning,
                 stacklevel=2,
             )

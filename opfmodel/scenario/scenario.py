@@ -33,7 +33,7 @@ class Scenario:
     problem
         The multi-stage problem of the controller; compiled when first solved.
     cost
-        Objective that evaluates realised costs.
+        Objective with which realised costs are evaluated.
     forecast
         The controller's forecast of the profiles.
     settings

@@ -91,5 +91,5 @@ class ScenarioFile(Section):
 
     @property
     def length(self) -> int:
-        """Required length of time series: all stages of the plan made at the last step."""
+        """Required length of time series, which must cover the horizon of the last plan."""
         return self.time.steps + self.controller.horizon - 1

@@ -75,11 +75,11 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     """
     costs: dict[str, float | None] = dict.fromkeys(COSTS)
     failures: dict[str, str] = {}
-    said = on_run if on_run is not None else lambda _: None
+    report = on_run if on_run is not None else lambda _: None
     scenario = load_scenario(path)
 
     def loop(name: str, controlled: Scenario) -> None:
-        said(f"{controlled.name}: {COSTS[name]}")
+        report(f"{controlled.name}: {COSTS[name]}")
         try:
             run: Run = controlled.simulate()
         except OpfmodelError as error:

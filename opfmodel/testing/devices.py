@@ -195,9 +195,7 @@ def _check_loop(rules: Contract, device: Device, grid: Network) -> None:
     for state in problem.model.states.values():
         if state.role == "stock":
             before, after = data[f"{state.name}_next"].values[:-1], data[state.name].values[1:]
-            rules.require(
-                np.allclose(before, after, atol=1e-6), "a stock at the end of a step starts the next"
-            )
+            rules.require(np.allclose(before, after, atol=1e-6), "a stock is carried from step to step")
     report = check(grid, data)
     unknown = [what for what in report.unchecked if what.startswith("balance")]
     rules.require(not unknown, "results report its injections", "; ".join(unknown))

@@ -34,8 +34,8 @@ def check_objective(
     """Raise :class:`ContractError` unless an objective satisfies its contract.
 
     - Its options are documented plain data.
-    - Some formulation publishes all quantities in ``needs``; the objective reads others only after
-      ``stage.has``; formulations that lack one reject the objective by name.
+    - Some formulation publishes all quantities in ``needs``; formulations that lack one reject the
+      objective by name. The objective reads other quantities only after ``stage.has``.
     - At random points, the cost is the same when evaluated numerically and in the program.
     - The cost is finite, has one value per stage for one stage and for three, can be weighted and
       added, and is convex in the quantities unless ``convex`` is False.

@@ -51,7 +51,7 @@ def check_plant(plant: Plant) -> None:
     for what, make in EDGE_GRIDS.items():
         grid = make()
         problem = MultiStage(grid, formulation="dc")
-        with rules.rule(f"supports {what}"):
+        with rules.rule(f"responds to a plan of a grid with {what}"):
             try:
                 plant.check(problem.arrays)
             except ModelError:
