@@ -1,4 +1,4 @@
-"""The command line: what it prints, what it writes, how it ends."""
+"""The command line: output, files and exit status."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_list(call: Call) -> None:
         ),
         (("run", CASE5, "--set", f"x={'[' * 20_000}"), "--set x:1:1001: not YAML"),
         (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), "--set x:1:201: nested too deeply"),
-        (("run", CASE5, "--set", f"{'a.' * 20_000}a=1"), "there is no key of 20001 parts"),
+        (("run", CASE5, "--set", f"{'a.' * 20_000}a=1"), "has 20001 parts"),
         (("run", CASE5, "--set", f"time.steps={10**30}"), "--set time.steps:1:1: .*integers of more than 64"),
         (("run", CASE5, "--set", f"name={'x' * 5000}"), ":6:1: name: .* at most 120 bytes"),
         (("run", f"{'x' * 5000}.yaml"), "xxx.yaml: cannot be read"),
@@ -272,14 +272,14 @@ def test_solver_options_that_are_refused_are_bad_input(call: Call) -> None:
     assert "no_such" in err
 
 
-def test_a_folder_that_cannot_be_written_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error(call: Call, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     code, _, err = call("run", CASE5, *SHORT, "--out", tmp_path / "file")
     assert code == 2
     assert "results cannot be written" in err
 
 
-def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_an_error(call: Call, tmp_path: Path) -> None:
     (tmp_path / "trajectories.nc").write_text("junk")
     code, _, err = call("plot", tmp_path)
     assert code == 2
@@ -287,7 +287,7 @@ def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
 
 
 def start(script: str, *arguments: object) -> subprocess.Popen[str]:
-    """A process that runs a script and then the command line, and obeys Ctrl-C."""
+    """Start a process that runs a script and then the command line, and responds to Ctrl-C."""
     obey = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     return subprocess.Popen(
         [
@@ -308,7 +308,7 @@ def test_iterations_go_to_standard_error() -> None:
     assert "iter    objective" in err
 
 
-# tells on standard error when a step is done, so that the interrupt comes in the middle of the run
+# reports every step on standard error, so that the test can interrupt the run midway
 TELL = """
 import opfmodel.simulation as simulation, sys
 apply = simulation.NominalPlant.apply
@@ -336,7 +336,7 @@ def test_ctrl_c_keeps_finished_steps(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
-# what a library prints past Python's own stream
+# output of a library that bypasses Python's standard output
 PRINT = """
 import ctypes, os
 from opfmodel.plan import MultiStage
@@ -354,7 +354,7 @@ MultiStage.solve = banner
     [("solve", CASE14), ("solve", CASE14, "--verbose"), ("run", CASE5, *SHORT), ("table",)],
     ids=["solve", "verbose", "run", "table"],
 )
-def test_what_solvers_print_is_not_among_the_results(arguments: tuple, tmp_path: Path) -> None:
+def test_solver_output_is_separate_from_results(arguments: tuple, tmp_path: Path) -> None:
     if arguments[0] == "table":
         (tmp_path / "s.yaml").write_text(WEAK.replace("p: 300", "p: 3"))
         arguments = ("table", tmp_path / "s.yaml")
@@ -375,7 +375,7 @@ MultiStage.solve = solve
 
 
 @pytest.mark.parametrize("command", ["solve", "table"])
-def test_ctrl_c_is_said_and_ends_with_1(command: str) -> None:
+def test_ctrl_c_is_reported_and_ends_with_1(command: str) -> None:
     process = start(PRESS, command, CASE5)
     out, err = process.communicate()
     assert (process.returncode, out, err) == (1, "", "error: interrupted\n")
@@ -392,7 +392,7 @@ def test_help_needs_no_heavy_library() -> None:
 HEAVY = ("--set", "profiles=[{scale: {factor: 1.5}}]", "--set", "controller.generator_delay=0")
 
 
-def test_solve_says_what_is_short(call: Call) -> None:
+def test_solve_reports_shortfalls(call: Call) -> None:
     arguments = ("solve", CASE5, *HEAVY, "--horizon", 2, "--on-infeasible", "elastic")
     code, out, _ = call(*arguments, "--json")
     result = json.loads(out)
@@ -406,7 +406,7 @@ def test_solve_says_what_is_short(call: Call) -> None:
     assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
 
 
-def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
+def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     short = (*HEAVY, "--set", "time.steps=2", "--set", "controller.horizon=2", "--out", tmp_path)
     code, out, _ = call("run", CASE5, *short, "--on-infeasible", "elastic", "--json")
     summary = json.loads(out)
@@ -450,17 +450,17 @@ def test_run_with_an_ac_plant(call: Call, tmp_path: Path) -> None:
     assert float(load(tmp_path)["flow_excess"].max()) == pytest.approx(summary["largest_flow_excess"])
 
 
-def test_what_is_not_finite_is_null_in_json(call: Call, tmp_path: Path) -> None:
+def test_non_finite_values_are_null_in_json(call: Call, tmp_path: Path) -> None:
     (tmp_path / "weak.yaml").write_text(WEAK)
     code, out, _ = call("run", tmp_path / "weak.yaml", "--out", tmp_path, "--json", "--no-figures")
-    assert code == 1  # the plant found no state
+    assert code == 1  # the plant found no solution
     for text in (out, (tmp_path / "summary.json").read_text()):
         summary = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
         assert (summary["status"], summary["unsolved_steps"]) == ("unsolved", 1)
         assert summary["cost"] is None
 
 
-# a line too weak for the AC equations, planned without them
+# a line too weak for AC power flow, planned with DC
 WEAK = """
 network:
   buses: {a: {reference: true}, b: {}}

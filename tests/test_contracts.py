@@ -1,4 +1,4 @@
-"""Every plugin keeps its contract: those of this package and those of ``tests/plugins``."""
+"""Every plugin of this package and of ``tests/plugins`` satisfies its contract."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONFIG.read(ROOT / "tests" / "plugins" / "setup.cfg")
 
 
 def names(sort: str) -> list[str]:
-    """Names of the plugins of this package and of ``tests/plugins``."""
+    """Return the names of the plugins of this package and of ``tests/plugins``."""
     group = plugins.GROUPS.get(sort, "solvers.backends")
     own = (
         [p.name for p in plugins.plugins(sort).values()] if sort in plugins.GROUPS else [*solvers.back_ends()]
@@ -39,7 +39,7 @@ def names(sort: str) -> list[str]:
     return [*own, *(line.partition("=")[0].strip() for line in lines)]
 
 
-# Options for plugins that have required ones, and for options that matter; for the grid of the contract.
+# Required options, and options worth checking, for the grid of the contract.
 OPTIONS: dict[tuple[str, str], dict[str, object]] = {
     ("objective", "economic"): {"reactive_weight": 0.1, "energy_weight": 0.2},
     ("objective", "emissions"): {"factors": {"coal": 0.9, "gas": 0.4}, "price": 30.0, "limit": 20.0},
@@ -65,7 +65,7 @@ OPTIONS: dict[tuple[str, str], dict[str, object]] = {
 
 
 def example(kind: str) -> Component:
-    """A component of a kind, with as many features as fit."""
+    """Return a component of a kind with as many features as possible."""
     if kind == "generator":
         cost = om.PiecewiseLinear(((0, 0), (10, 200), (30, 900)))
         return om.Generator("x", p=(0, 30), q=(-5, 5), ramp=4, cost=cost)
@@ -87,26 +87,26 @@ def installed(example_plugins: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", names("objective"))
-def test_an_objective_keeps_its_contract(name: str) -> None:
+def test_an_objective_satisfies_its_contract(name: str) -> None:
     check_objective(plugins.make("objective", name, OPTIONS.get(("objective", name), {})))
 
 
 @pytest.mark.parametrize("name", names("formulation"))
-def test_a_formulation_keeps_its_contract(name: str) -> None:
+def test_a_formulation_satisfies_its_contract(name: str) -> None:
     formulation = plugins.load("formulation", name)()
     assert formulation.name == name
     check_formulation(formulation)
 
 
 @pytest.mark.parametrize("name", names("device"))
-def test_a_device_keeps_its_contract(name: str) -> None:
+def test_a_device_satisfies_its_contract(name: str) -> None:
     device = plugins.load("device", name)()
     assert device.component.kind == name
     check_device(device, example(name))
 
 
 @pytest.mark.parametrize("name", names("profile"))
-def test_a_profile_rule_keeps_its_contract(name: str, tmp_path: Path) -> None:
+def test_a_profile_rule_satisfies_its_contract(name: str, tmp_path: Path) -> None:
     (tmp_path / "series.csv").write_text(
         "wind,town.p,coal.p_max\n" + "".join(f"{k + 1},{k},9\n" for k in range(24))
     )
@@ -114,7 +114,7 @@ def test_a_profile_rule_keeps_its_contract(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", names("forecast"))
-def test_a_forecast_keeps_its_contract(name: str, tmp_path: Path) -> None:
+def test_a_forecast_satisfies_its_contract(name: str, tmp_path: Path) -> None:
     file = tmp_path / "forecast.csv"
     file.write_text("town.p,town.q\n" + "".join(f"{30 + k},{8 + k}\n" for k in range(24)))
     options = {"file": file} if name == "file" else OPTIONS.get(("forecast", name), {})
@@ -122,18 +122,18 @@ def test_a_forecast_keeps_its_contract(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", names("plant"))
-def test_a_plant_keeps_its_contract(name: str) -> None:
+def test_a_plant_satisfies_its_contract(name: str) -> None:
     check_plant(plugins.make("plant", name, OPTIONS.get(("plant", name), {})))
 
 
 @pytest.mark.parametrize("name", names("back end"))
-def test_a_back_end_keeps_its_contract(name: str) -> None:
+def test_a_back_end_satisfies_its_contract(name: str) -> None:
     end = solvers.back_ends()[name]
     assert end.name == name
     check_back_end(end)
 
 
-def test_all_sorts_are_here() -> None:
+def test_plugins_of_all_kinds_are_found() -> None:
     assert len(names("formulation")) >= 8
     for sort in (*plugins.GROUPS, "back end"):
         assert len(names(sort)) >= 2

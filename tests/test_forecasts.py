@@ -1,4 +1,4 @@
-"""Forecasts: what a controller sees, and that it is the same whenever it is asked."""
+"""Forecasts: their values, their errors, and their use in closed loops."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def test_persistence(period: int, time: int, expected: list[float]) -> None:
 
 
 @given(period=st.integers(1, 30), time=st.integers(0, 40), stages=st.integers(1, 20))
-def test_persistence_knows_nothing_of_what_comes(period: int, time: int, stages: int) -> None:
+def test_persistence_does_not_know_the_future(period: int, time: int, stages: int) -> None:
     seen = Persistence(period).expected(ACTUAL, time, stages).series[TOWN]
-    known = max(time, period)  # before the first period is over its own values stand in
+    known = max(time, period)  # until the first period is over, its own values stand in
     assert (seen < 10 + known).all()
 
 
@@ -65,7 +65,7 @@ def test_noise_keeps_power_factors_signs_and_prices(seed: int, time: int, deviat
     assert (seen["coal", "c1"] == 15).all()
 
 
-def test_noise_depends_on_seed_component_and_step_alone() -> None:
+def test_noise_depends_only_on_seed_component_and_step() -> None:
     noisy = Noisy(0.1, seed=3)
     late, early = (noisy.expected(ACTUAL, time, 5).series[TOWN] for time in (7, 2))
     again = Noisy(0.1, seed=3)
@@ -77,7 +77,7 @@ def test_noise_depends_on_seed_component_and_step_alone() -> None:
     assert len({tuple(error) for error in errors}) == 4
 
 
-def test_the_error_grows_with_the_time_ahead() -> None:
+def test_the_error_grows_with_the_lead_time() -> None:
     noisy = Noisy(0.1, seed=1, correlation=0.8)
     errors = np.array([noisy.error("town", time, 12) for time in range(4000)])
     ahead = np.arange(1, 13)
@@ -101,7 +101,7 @@ def test_a_file_without_issues(tmp_path: Path) -> None:
     assert seen["town", "q"] == pytest.approx([1.1, 1.2, 1.3])
 
 
-def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
+def test_the_latest_issue_of_a_file_applies(tmp_path: Path) -> None:
     rows = "issued,town.p\n0,1\n0,2\n0,3\n0,4\n2,30\n2,40\n2,50\n"
     forecast = File(write(tmp_path, rows))
     assert forecast.expected(ACTUAL, 1, 2).series[TOWN].tolist() == [2, 3]
@@ -121,17 +121,17 @@ def test_the_newest_issue_of_a_file_counts(tmp_path: Path) -> None:
         ("town.p\n1\ninf\n", "line 3, column 'town.p': 'inf' is not a finite number"),
         (f"town.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
         ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
-        ("issued,town.p\n3,1\n", "nothing was issued by step 1; first is 3"),
+        ("issued,town.p\n3,1\n", "issued by step 1; .* 3$"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
         ("hour,twon.p\n" + 9 * "0,1\n", "column 'twon.p': there is no such series"),
     ],
 )
-def test_mistakes_in_a_file(tmp_path: Path, text: str, message: str) -> None:
+def test_errors_in_a_file(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ProfileError, match=message):
         File(write(tmp_path, text)).expected(ACTUAL, 1, 3)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match=r"none\.csv: no such file"):
         File(tmp_path / "none.csv")
 
@@ -157,7 +157,7 @@ def problem(**options: object) -> om.MultiStage:
     return om.MultiStage(grid, 3, profiles=demand, **options)  # type: ignore[arg-type]
 
 
-def test_plans_are_made_for_the_forecast_and_met_by_what_happens() -> None:
+def test_plans_use_the_forecast_and_plants_the_actual_series() -> None:
     made = problem()
     controller = om.Controller(made, Persistence())
     plan = controller.plan(3, None)
@@ -172,28 +172,28 @@ def test_plans_are_made_for_the_forecast_and_met_by_what_happens() -> None:
     assert changed == pytest.approx([0, 20, 20, 30, 10], abs=2)
 
 
-def test_no_forecast_is_a_perfect_one() -> None:
+def test_the_default_forecast_is_perfect() -> None:
     runs = [om.simulate(om.Controller(problem(), f), steps=3) for f in (None, Perfect())]
     assert runs[0].cost == runs[1].cost
     plans = [om.Controller(problem(), f).plan(0, None).objective for f in (None, Noisy(0.0, 1))]
     assert plans[0] == plans[1]
 
 
-def test_an_imperfect_forecast_needs_a_plant_that_answers(tmp_path: Path) -> None:
+def test_an_imperfect_forecast_needs_a_plant_that_can_respond(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"Noisy with NominalPlant: .* power-flow or redispatch"):
         om.simulate(om.Controller(problem(), Noisy(0.1, 1)))
     with pytest.raises(ScenarioError, match=r"scenario.yaml:8:1: forecast: .* power-flow or redispatch"):
         om.load_scenario(written(tmp_path, "forecast: persistence"))
 
 
-def test_a_run_is_repeated_exactly() -> None:
+def test_a_run_is_reproducible() -> None:
     costs = {
         om.simulate(om.Controller(problem(), Noisy(0.05, seed=7)), om.Redispatch(), 4).cost for _ in range(2)
     }
     assert len(costs) == 1
 
 
-def test_what_is_available_is_forecast_too_but_never_below_what_a_unit_must_do() -> None:
+def test_available_power_is_forecast_but_never_below_the_minimum_of_a_unit() -> None:
     class Calm(Forecast):
         def expected(self, actual: om.Profiles, time: int, stages: int) -> om.Profiles:
             return om.Profiles({key: np.zeros(stages) if key[1] == "p_max" else v[time : time + stages]
@@ -226,7 +226,7 @@ def scenario(tmp_path: Path, text: str) -> om.Scenario:
     return om.load_scenario(written(tmp_path, text + "\nplant: {mode: redispatch}\n"))
 
 
-def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
+def test_a_scenario_selects_its_forecast(tmp_path: Path) -> None:
     assert isinstance(scenario(tmp_path, "").forecast, Perfect)
     assert isinstance(scenario(tmp_path, "forecast: persistence").forecast, Persistence)
     noisy = scenario(tmp_path, "forecast: {noisy: {deviation: 0.1, seed: 4, fields: [p]}}").forecast
@@ -254,7 +254,7 @@ def test_a_scenario_names_its_forecast(tmp_path: Path) -> None:
         ("forecast: {file: {file: none.csv}}", r":8:12: forecast.file: .*none.csv: no such file"),
     ],
 )
-def test_mistakes_in_a_scenario(tmp_path: Path, text: str, message: str) -> None:
+def test_errors_in_a_scenario(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         scenario(tmp_path, text)
 
@@ -265,7 +265,7 @@ OPTIONS = {"noisy": {"deviation": 0.1, "seed": 3}, "persistence": {"period": 2}}
 
 
 @pytest.mark.parametrize("name", plugins.plugins("forecast"))
-def test_a_forecast_keeps_its_contract(name: str, tmp_path: Path) -> None:
+def test_a_forecast_satisfies_its_contract(name: str, tmp_path: Path) -> None:
     rows = "".join(f"{issued},{n}\n" for issued in (0, 2) for n in range(5))
     options = {"file": {"file": write(tmp_path, "issued,town.p\n" + rows)}, **OPTIONS}.get(name, {})
     check_forecast(plugins.make("forecast", name, options))
@@ -305,11 +305,11 @@ def greedy(self, actual, time, stages):
 @pytest.mark.parametrize(
     ("expected", "message"),
     [
-        (shortened, "expects one value per stage"),
-        (forgetful, "expects every series that there is and no other"),
+        (shortened, "one value per stage"),
+        (forgetful, "every actual series and no other"),
         (undefined, "nan: must be a number"),
-        (moody, "the same when it is asked again, in another order"),
-        (hurried, "expects the same for however many stages"),
+        (moody, "the same values when called again in another order"),
+        (hurried, "the same values for any number of stages"),
         (greedy, "forecasts every step.*read-only"),
     ],
 )
@@ -322,7 +322,7 @@ def test_an_inherited_constructor_has_the_types_of_its_options(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Mine(File):
-        """What my file says."""
+        """Forecasts from a file of mine."""
 
     monkeypatch.setattr(registry, "load", lambda sort, name: Mine)
     path = write(tmp_path, "town.p\n1\n")

@@ -1,4 +1,4 @@
-"""Scenario files: what they mean, and an error with line and column for whatever is wrong."""
+"""Scenario files: their meaning, and errors with line and column."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def by_dsl() -> om.Network:
     return grid
 
 
-def test_the_same_grid_by_dsl_by_yaml_and_by_file_has_the_same_optimum(tmp_path: Path) -> None:
+def test_a_grid_from_python_yaml_or_a_file_has_the_same_optimum(tmp_path: Path) -> None:
     declared = by_dsl()
     om.write_network(declared, tmp_path / "case.m")
     from_file = om.load_scenario(
@@ -80,7 +80,7 @@ def test_the_same_grid_by_dsl_by_yaml_and_by_file_has_the_same_optimum(tmp_path:
     assert optima[2] == pytest.approx(optima[0], rel=1e-8)
 
 
-def test_a_limit_that_a_component_lacks_can_have_a_series(tmp_path: Path) -> None:
+def test_an_absent_limit_can_have_a_series(tmp_path: Path) -> None:
     (tmp_path / "limits.csv").write_text("g.ramp\n5\n3\n")
     text = MINIMAL + "time: {steps: 2}\nprofiles: [{table: {file: limits.csv}}]\n"
     assert om.load_scenario(write(tmp_path, text)).profiles.series["g", "ramp"].tolist() == [5, 3]
@@ -124,7 +124,7 @@ def test_objectives_in_a_list_may_be_plain_names(tmp_path: Path) -> None:
     assert [weight for weight, _ in made.parts] == [1, 2]
 
 
-def test_a_mistake_in_a_variant_has_its_place(tmp_path: Path) -> None:
+def test_an_error_in_a_variant_is_located(tmp_path: Path) -> None:
     path = write(tmp_path, MINIMAL + "variants:\n  long: {controller: {horizn: 9}}\n")
     with pytest.raises(ScenarioError, match=r":5:23: controller.horizn: unknown key"):
         om.load_scenario(path, "long")
@@ -176,7 +176,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("p: [0, 210]", "p: 210", r":25:20: .*gen1.p: 210: must be a pair"),
         ("bus: 3, p: [0, 520]", "bus: 33, p: [0, 520]", r":26:12: .*gen3.bus: '33': no such bus"),
         ('bus: "*"', 'bus: "9"', r":34:13: network.storages.cell\*.bus: '9': no such bus"),
-        ("cell*:", "cell:", r"cell.bus: '\*': for one at every bus the name needs a \* too"),
+        ("cell*:", "cell:", r"cell.bus: '\*': .*must contain one \*"),
         ("r: 0.00281, x: 0.0281", "r: 0, x: 0", r":18:5: network.branches.1-2.*impedance must be at least"),
         ("{bus: 2, p: 300", "{bus: 2, p: .nan", ":30:21: network.loads.load2.p: nan: must be a finite number"),
         ("cost: {c2: 0.0010, c1: 15}", "cost: {c2: -1}", ":25:73: .*must be convex"),
@@ -221,7 +221,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("name: case5-step", "name: a\nname: b", "not YAML: found duplicate key"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_errors_are_located(old: str, new: str, message: str, tmp_path: Path) -> None:
     assert old in CASE5
     path = write(tmp_path, CASE5.replace(old, new, 1))
     with pytest.raises(ScenarioError, match=message) as caught:
@@ -235,7 +235,7 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
         MINIMAL
         + "  loads: {l: {bus: a, p: 5}}\nprofiles: [{step: {loads: [l], first: 4, last: 5, add: 1}}]\n"
     )
-    with pytest.warns(ProfileWarning, match="first = 4: the series have 1 values"):
+    with pytest.warns(ProfileWarning, match="first = 4: .* 1 values"):
         om.load_scenario(write(tmp_path, text))
 
 
@@ -247,18 +247,18 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
         ("network: 3\n", "network: 3: must be a mapping"),
         (
             MINIMAL + "controller: {end: cyclic}\n",
-            r"controller.end: 'cyclic': must be a mapping with keys of cyclic, minimum",
+            r"controller.end: 'cyclic': must be a mapping; .* cyclic, minimum",
         ),
-        (MINIMAL + "time: 3\n", "time: 3: must be a mapping with keys of step, steps"),
-        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping with keys of mode"),
-        (MINIMAL + "name: ../x\n", r":4:1: name: '../x': .* or hold / or"),
-        (MINIMAL + "name: ..\n", ":4:1: name: '..': .* it cannot be empty"),
-        (MINIMAL + "variants: {a/b: {}}\n", ":4:12: variants.a/b: 'a/b': .* or hold / or"),
+        (MINIMAL + "time: 3\n", "time: 3: must be a mapping; .* step, steps"),
+        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping; .* mode"),
+        (MINIMAL + "name: ../x\n", r":4:1: name: '../x': .*contain / or"),
+        (MINIMAL + "name: ..\n", ":4:1: name: '..': must not be empty"),
+        (MINIMAL + "variants: {a/b: {}}\n", ":4:12: variants.a/b: 'a/b': .*contain / or"),
         (MINIMAL + 'name: "a\\e[1m"\n', ":4:1: name: 'a.x1b.1m': .*visible"),
         (MINIMAL + 'variants: {"a\\n": {}}\n', ":4:12: .*'a.n'.*visible"),
         (MINIMAL + '  loads: {"a\\u202e": {bus: a, p: 1}}\n', ":4:11: .*'a.u202e'.*visible"),
         (MINIMAL + 'constraints: {"a\\0": {terms: {g.pg: 1}, at_least: 0}}\n', ":4:15: .*'a.x00'.*visible"),
-        ("scenario: a.yaml\nvary: {}\n", ":2:1: vary: this is a study; 'opfmodel study run' runs it"),
+        ("scenario: a.yaml\nvary: {}\n", ":2:1: vary: .*'opfmodel study run'"),
         ("network: {}\n", "has no bus in service"),
         ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),
         ("network: {buses: {a: 3}}\n", "must be a mapping from fields to values"),
@@ -278,7 +278,7 @@ def test_odd_documents(text: str, message: str, tmp_path: Path) -> None:
         om.load_scenario(write(tmp_path, text))
 
 
-def test_a_file_that_cannot_be_read_is_said(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="no such file"):
         om.load_scenario(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
@@ -288,7 +288,7 @@ def test_a_file_that_cannot_be_read_is_said(tmp_path: Path) -> None:
 
 @given(data=st.data())
 @settings(max_examples=60)
-def test_a_damaged_file_gives_an_owned_error_or_a_sound_scenario(
+def test_a_damaged_file_gives_an_error_of_opfmodel_or_a_valid_scenario(
     data: st.DataObject, tmp_path_factory
 ) -> None:
     lines = CASE5.splitlines(keepends=True)
@@ -317,7 +317,7 @@ def test_random_demand_does_not_depend_on_the_horizon() -> None:
 
 
 @pytest.mark.parametrize("variant", [None, "setpoint-tracking"])
-def test_loading_makes_the_network_once_and_the_problem_once(
+def test_loading_builds_the_network_and_the_problem_once(
     monkeypatch: pytest.MonkeyPatch, variant: str | None
 ) -> None:
     made = {"arrays": 0, "problems": 0}
@@ -336,7 +336,7 @@ def test_loading_makes_the_network_once_and_the_problem_once(
     assert scenario.problem is scenario.problem
 
 
-def test_arrays_are_made_again_when_the_network_has_changed() -> None:
+def test_arrays_are_rebuilt_when_the_network_changes() -> None:
     scenario = om.load_scenario(SCENARIOS / "case5-step.yaml")
     network, before = scenario.network, per_unit(scenario.network)
     assert per_unit(network) is before

@@ -1,4 +1,4 @@
-"""Studies: the file, the key, the folder, and that nothing is lost whatever dies."""
+"""Studies: the file, the key, the folder, and recovery from killed processes and full disks."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ vary:
     measured: {}
     forecast: {profiles: [{table: {file: other.csv}}]}
 """
-# 24 runs that differ.
+# 24 runs with different results.
 CASE5_GRID = f"""\
 scenario: {CASE5}
 set: {{time.steps: 3, controller.generator_delay: 0}}
@@ -89,7 +89,7 @@ def figures(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def results(folder: Path) -> list[dict[str, Any]]:
-    """The figures of a study that has ended, from its Parquet file, which agrees with its records."""
+    """The figures of a finished study from its Parquet file, checked against its records."""
     rows = figures(pq.read_table(folder / "results.parquet").to_pylist())
     assert rows == figures(read_table(folder))
     return rows
@@ -137,28 +137,28 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("scenario: tiny.yaml", "scenario: 3", r"study.yaml:1:1: scenario: 3: input should be a valid string"),
         ("scenario: tiny.yaml\n", "", r"study.yaml:1:1: scenario: this key is missing"),
         ("scenario: tiny.yaml", "scenario: none.yaml", r"study.yaml:1:1: scenario: .*none.yaml: no such file"),
-        ("scenario: tiny.yaml", "set: {variant: heavy}", r"set.variant: is a key of the study itself"),
+        ("scenario: tiny.yaml", "set: {variant: heavy}", r"set.variant: is a key of the study"),
         ("controller.horizon: [1", "controller.horizn: [1", r"study.yaml:3:23: .*did you mean 'horizon'\?"),
         ("[1, 2, 3]", "[1, 2, many]", r"study.yaml:3:30: .*'many': input should be a valid integer"),
-        ("[1, 2, 3]", "[1, 2, 2]", r"study.yaml:3:30: vary.controller.horizon.2: 2 is there twice"),
+        ("[1, 2, 3]", "[1, 2, 2]", r"study.yaml:3:30: vary.controller.horizon.2: 2 is .*twice"),
         ("[1, 2, 3]", "[]", r"study.yaml:3:3: .*needs at least one value"),
         ("[1, 2, 3]", "4", r"study.yaml:3:3: .*must be a list of values, or a mapping from names"),
         ("measured: {}", "measured: 5", r"study.yaml:5:5: vary.demand.measured: must be a mapping"),
-        ("measured: {}", "measured: {controller.horizon: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
+        ("measured: {}", "measured: {controller.horizon: 5}", r"'controller.horizon' is .* by 'controller.horizon'"),
         ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: no such file"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
         ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*valid integer"),
         ("controller.horizon: [1", "cost: [{economic: {since: 2020-01-01}}", r"study.yaml:3:10: .*no option 'since'"),
-        ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is varied by"),
-        ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is varied by 'controller.horizon'"),
+        ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is .* by"),
+        ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is .* by 'controller.horizon'"),
         ("scenario:", "name: \"a\\e[2J\"\nscenario:", r"study.yaml:1:1: name: 'a\\x1b\[2J': .*visible characters only"),
         ("measured: {}", "\"a\\rb\": {}", r"study.yaml:5:5: the key 'a\\rb' has the character .*visible characters only"),
         ("demand:", "\"a\\u202Eb\":", r"study.yaml:4:3: the key 'a\\u202eb' has the character .*visible characters only"),
         ("controller.horizon: [1", "description: [\"\\uD800\"", r"study.yaml:3:20: not YAML: found invalid Unicode character"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_with_its_place(old: str, new: str, message: str, folder: Path) -> None:
+def test_errors_are_located(old: str, new: str, message: str, folder: Path) -> None:
     path = folder / "study.yaml"
     assert old in GRID
     path.write_text(GRID.replace(old, new, 1))
@@ -181,7 +181,7 @@ controller: {horizon: 2}
 """
 TOO_FULL = "{state-of-charge-tracking: {share: 3}}"
 NOISY = "{noisy: {deviation: 0.1, seed: 1}}"
-VOLTAGE = "{terms: {bus.vm: 1}, at_most: 6}"  # which a formulation without voltages lacks
+VOLTAGE = "{terms: {bus.vm: 1}, at_most: 6}"  # not published by formulations without voltages
 NOBODY = "{mode: power-flow, participation: {nobody: 1}}"
 
 
@@ -206,7 +206,7 @@ def pair(tmp_path: Path) -> Path:
         ("{}", "{constraints.c: [{terms: {bus.v: 1}, at_most: 1}]}", "{terms", "'v'"),
         ("{}", "{constraints.c: [{terms: {nobody.vm: 1}, at_most: 1}]}", "{terms", "'nobody'"),
         ("{}", "{constraints.c: [{terms: {bus.vm: 1}}]}", "{terms", "needs a limit"),
-        # other parts that do not fit hide no mistake
+        # an incompatibility elsewhere hides no error
         (
             f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}",
             "{constraints.b: [{terms: {bus.v: 1}, at_most: 1}]}",
@@ -222,7 +222,7 @@ def pair(tmp_path: Path) -> Path:
         (f"{{controller.formulation: dc, constraints.a: {VOLTAGE}}}", f"{{plant: [{NOBODY}]}}", NOBODY, "'nobody'"),
     ],
 )  # fmt: skip
-def test_a_bad_option_is_refused_with_its_place(
+def test_an_invalid_option_is_rejected_at_its_location(
     fixed: str, vary: str, blamed: str, said: str, pair: Path
 ) -> None:
     path, lines = pair / "study.yaml", ["scenario: pair.yaml", f"set: {fixed}", f"vary: {vary}"]
@@ -243,7 +243,7 @@ def test_a_bad_option_is_refused_with_its_place(
         ("{controller.generator_delay: 1}", "{controller.horizon: [2, 1]}", "at least 2 stages"),
     ],
 )  # fmt: skip
-def test_parts_that_do_not_fit_are_accepted_and_become_a_row(
+def test_incompatible_parts_are_accepted_and_become_a_row(
     fixed: str, vary: str, lacking: str, pair: Path
 ) -> None:
     (pair / "study.yaml").write_text(f"scenario: pair.yaml\nset: {fixed}\nvary: {vary}\n")
@@ -252,15 +252,15 @@ def test_parts_that_do_not_fit_are_accepted_and_become_a_row(
     assert lacking in results(pair / "out")[1]["error"]
 
 
-def test_a_grid_of_too_many_runs_is_refused_before_any_is_tried(folder: Path) -> None:
+def test_a_grid_with_too_many_runs_is_rejected_before_any_is_checked(folder: Path) -> None:
     points = ", ".join(f"p{number}: {{}}" for number in range(100))
     axes = "".join(f"  {name}: {{{points}}}\n" for name in "abcdefghijkl")
     (folder / "study.yaml").write_text(f"scenario: nowhere.yaml\nvary:\n{axes}")
-    with pytest.raises(ScenarioError, match=f"study.yaml:2:1: vary: makes {10**24:,} runs"):
+    with pytest.raises(ScenarioError, match=f"study.yaml:2:1: vary: .*{10**24:,} runs"):
         read_study(folder / "study.yaml")
 
 
-def test_the_name_of_the_file_is_a_name_too(folder: Path) -> None:
+def test_a_file_name_that_serves_as_name_is_checked(folder: Path) -> None:
     for file, text in (("a\x1b[2J.yaml", GRID), ("b\x07.yaml", TINY)):
         (folder / file).write_text(text)
     with pytest.raises(ScenarioError, match=r"name: 'a\\x1b\[2J': .*visible characters only"):
@@ -279,17 +279,15 @@ def test_a_study_is_a_mapping(text: str, tmp_path: Path) -> None:
         read_study(tmp_path / "study.yaml")
 
 
-def test_a_scenario_is_no_study_and_says_so(folder: Path) -> None:
-    with pytest.raises(
-        ScenarioError, match=r"tiny.yaml:\d+:1: network: this is a scenario; 'opfmodel run' runs it"
-    ):
+def test_a_scenario_is_not_a_study(folder: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"tiny.yaml:\d+:1: network: .*'opfmodel run'"):
         read_study(folder / "tiny.yaml")
 
 
 def test_files_are_named_relative_to_the_scenario(folder: Path) -> None:
     text = TINY.replace("file: demand.csv", f"file: {folder / 'demand.csv'}")
     (folder / "tiny.yaml").write_text(text)
-    with pytest.raises(ScenarioError, match=r"tiny.yaml:6:.*demand.csv': a study copies its files"):
+    with pytest.raises(ScenarioError, match=r"tiny.yaml:6:.*demand.csv': must be relative"):
         keys(folder / "study.yaml")
 
 
@@ -343,20 +341,20 @@ def test_a_worker_with_other_versions_is_refused(folder: Path) -> None:
     run = Snapshot().specifications(read_study(folder / "study.yaml"))[0]
     record = execute(replace(run, versions={**run.versions, "casadi": "0.0"}))
     assert record.failed
-    assert "the study has 0.0" in record.result["error"]
+    assert re.search(rf"casadi {run.versions['casadi']}.* 0\.0$", record.result["error"])
 
 
 # The folder -------------------------------------------------------------------------------------
 
 
-def test_a_study_is_made_once(folder: Path) -> None:
+def test_a_study_is_run_once(folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     first = run_study(study, out, workers=0)
     assert (first.total, first.done, first.failed, first.skipped) == (6, 6, 0, 0)
     rows = results(out)
     assert [row["cost"] for row in rows] == pytest.approx(
         [600, 700] * 3
-    )  # 20 $/MWh of 10 + 20, or 10 + 25 MWh
+    )  # 20 $/MWh for 10 + 20 or 10 + 25 MWh
     assert all(row["status"] == "done" and row["error"] is None for row in rows)
     assert list(rows[0])[:3] == ["controller.horizon", "demand", "key"]
     made = {path: path.stat().st_mtime_ns for path in (out / "runs").iterdir()}
@@ -365,7 +363,7 @@ def test_a_study_is_made_once(folder: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in (out / "runs").iterdir()} == made
 
 
-def test_a_changed_data_file_makes_its_runs_again(folder: Path) -> None:
+def test_a_changed_data_file_repeats_its_runs(folder: Path) -> None:
     out = folder / "out"
     run_study(read_study(folder / "study.yaml"), out, workers=0)
     (folder / "other.csv").write_text(DEMAND)
@@ -395,7 +393,7 @@ def test_a_failed_run_is_a_row_and_is_repeated_on_demand(folder: Path) -> None:
     assert run_study(study, out, workers=0, retry="all").done == 3
 
 
-def test_failed_runs_of_one_name_are_counted_each(folder: Path) -> None:
+def test_failed_runs_with_the_same_description_are_counted_separately(folder: Path) -> None:
     (folder / "tiny.yaml").write_text(TINY.replace("heavy:", "None:"))
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nset: {network.update: {unit: {p: [0, 1]}}}\nvary: {variant: [null, None]}\n"
@@ -405,7 +403,7 @@ def test_failed_runs_of_one_name_are_counted_each(folder: Path) -> None:
     assert (outcome.total, outcome.failed, outcome.waiting) == (2, 2, 0)
 
 
-def test_parts_that_do_not_fit_together_are_a_row(folder: Path) -> None:
+def test_an_incompatible_solver_is_a_row(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         f"scenario: {CASE5}\nset: {{time.steps: 1, controller.horizon: 2}}\nvary: {{controller.solver: [ipopt, osqp]}}\n"
     )
@@ -416,7 +414,7 @@ def test_parts_that_do_not_fit_together_are_a_row(folder: Path) -> None:
     assert "osqp" in row["error"]
 
 
-def test_a_combination_that_is_refused_is_a_row_that_names_the_users_files(folder: Path) -> None:
+def test_a_rejected_combination_is_a_row_that_names_the_users_files(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nvary: {time.steps: [2, 4], controller.horizon: [1, 3]}\n"
     )
@@ -450,7 +448,7 @@ def test_an_axis_named_like_a_figure_of_some_rows_is_one_column(folder: Path) ->
     assert [row["vary.elastic_steps"] for row in rows] == ["few", "all"]
 
 
-def test_a_varied_key_named_like_a_figure_is_told_from_it(folder: Path) -> None:
+def test_a_varied_key_named_like_a_figure_is_a_separate_column(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nvary: {cost: [economic, {economic: {energy_weight: 1}}]}\n"
     )
@@ -505,7 +503,7 @@ def test_every_study_of_the_package_is_valid() -> None:
 
 
 def resealed(text: str, **changes: Any) -> str:
-    """A record with other content and the checksum of that."""
+    """A record with changed content and a matching checksum."""
     content = {k: v for k, v in json.loads(text).items() if k != "checksum"}
     return sealed({**content, **changes})
 
@@ -543,7 +541,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_record_that_is_not_what_was_written_is_repeated_and_reported(damage: str, folder: Path) -> None:
+def test_a_damaged_record_is_repeated_and_reported(damage: str, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
     before = results(out)
@@ -568,7 +566,7 @@ def test_a_record_that_is_not_what_was_written_is_repeated_and_reported(damage: 
     assert run_study(study, out, workers=0).notes == ()
 
 
-def test_records_of_other_runs_in_their_places_are_not_taken(folder: Path) -> None:
+def test_swapped_records_are_repeated(folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
     before = results(out)
@@ -583,7 +581,7 @@ def test_records_of_other_runs_in_their_places_are_not_taken(folder: Path) -> No
 @pytest.mark.parametrize(
     "put", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.symlink_to("x")]
 )
-def test_a_pipe_or_a_device_in_the_place_of_a_record_is_replaced(put: Any, folder: Path) -> None:
+def test_a_pipe_or_a_device_in_place_of_a_record_is_replaced(put: Any, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
     before = results(out)
@@ -606,7 +604,7 @@ def test_a_pipe_or_a_device_in_the_place_of_a_record_is_replaced(put: Any, folde
         if name not in ("another cost", "a flipped bit", "another key", "no key", "a field more")
     ],
 )
-def test_a_damaged_list_of_runs_is_one_sentence_and_written_anew(damage: str, folder: Path) -> None:
+def test_a_damaged_list_of_runs_is_reported_and_rewritten(damage: str, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
     before = results(out)
@@ -621,7 +619,7 @@ def test_a_damaged_list_of_runs_is_one_sentence_and_written_anew(damage: str, fo
 
 
 @pytest.mark.parametrize(("old", "new"), [('"measured"', '"measurer"'), ('.horizon": 1', '.horizon": 2')])
-def test_changed_labels_in_the_list_of_runs_are_noticed(old: str, new: str, folder: Path) -> None:
+def test_changed_labels_in_the_list_of_runs_are_detected(old: str, new: str, folder: Path) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, out, workers=0)
     text = (out / "study.json").read_text()
@@ -641,7 +639,7 @@ def test_changed_labels_in_the_list_of_runs_are_noticed(old: str, new: str, fold
         ),
     )
 )
-def test_whatever_is_sealed_is_read_back(
+def test_sealed_content_is_read_back(
     content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     content = {key: value for key, value in content.items() if key not in ("schema", "checksum")}
@@ -661,12 +659,14 @@ def test_the_table_of_a_damaged_study_is_printed_with_a_warning(folder: Path) ->
     assert re.fullmatch(rf"warning: 1 record.*{record.name}.*\n", err)
 
 
-def test_a_folder_without_a_study_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ResultError, match=r"study.json: .*no such file; 'opfmodel study run' writes it"):
+def test_a_folder_without_a_study_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(
+        ResultError, match=r"study.json: no such file; 'opfmodel study run' writes it"
+    ):
         read_table(tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_said(folder: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error(folder: Path) -> None:
     (folder / "out").write_text("in the way")
     with pytest.raises(ResultError, match="out: results cannot be written: "):
         run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
@@ -730,13 +730,13 @@ def test_nothing_is_written_through_a_link(name: str, folder: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
-def test_a_folder_without_permission_is_said(folder: Path) -> None:
+def test_a_folder_without_permission_is_an_error(folder: Path) -> None:
     (folder / "out").mkdir(mode=0o500)
     with pytest.raises(ResultError, match="out: results cannot be written: Permission denied"):
         run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
 
 
-def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_edited_during_a_study_is_used_as_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study, out = read_study(folder / "study.yaml"), folder / "out"
     run_study(study, folder / "undisturbed", workers=0)
     undisturbed = runner.in_this_process
@@ -758,10 +758,10 @@ def test_a_file_edited_meanwhile_is_used_as_it_was(folder: Path, monkeypatch: py
     assert results(out) == results(folder / "undisturbed")
 
 
-def test_a_scenario_edited_between_two_looks_at_it_is_refused(
+def test_a_scenario_edited_while_it_is_read_is_rejected(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run would have the key of the one content and the results of the other."""
+    """Otherwise a run would have the key of one version and the results of the other."""
     study = read_study(folder / "study.yaml")
     undisturbed = specification.read_document
 
@@ -770,13 +770,11 @@ def test_a_scenario_edited_between_two_looks_at_it_is_refused(
         return undisturbed(path)
 
     monkeypatch.setattr(specification, "read_document", edited)
-    with pytest.raises(ScenarioError, match=r"tiny\.yaml: changed while it was read"):
+    with pytest.raises(ScenarioError, match=r"tiny\.yaml: changed while it was being read"):
         run_study(study, folder / "out", workers=0)
 
 
-def test_a_plugin_that_ends_the_program_fails_its_run_alone(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plugin_that_exits_fails_only_its_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(execution, "_figures", lambda _: sys.exit(0))
     outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
     assert (outcome.failed, outcome.waiting) == (6, 0)
@@ -784,7 +782,7 @@ def test_a_plugin_that_ends_the_program_fails_its_run_alone(
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
-def test_a_repository_runs_nothing_of_its_own(tmp_path: Path) -> None:
+def test_the_file_monitor_of_a_repository_does_not_run(tmp_path: Path) -> None:
     def git(*arguments: str) -> None:
         subprocess.run(["git", "-C", str(tmp_path), *arguments], check=True, capture_output=True)
 
@@ -815,16 +813,16 @@ def test_a_repository_runs_nothing_of_its_own(tmp_path: Path) -> None:
         {"scheduler": "nonsense"},
     ],
 )
-def test_options_that_do_not_fit_are_refused(options: dict[str, Any], folder: Path) -> None:
+def test_invalid_options_are_rejected(options: dict[str, Any], folder: Path) -> None:
     with pytest.raises(StudyError, match=r"workers|memory = |scheduler = "):
         run_study(read_study(folder / "study.yaml"), folder / "out", **options)
 
 
-# The command, and what may happen to it ----------------------------------------------------------
+# The command and its interruptions ----------------------------------------------------------------
 
 
 def start(*arguments: object, **options: Any) -> subprocess.Popen[str]:
-    """``opfmodel study`` in a process group of its own, as from a terminal."""
+    """Start ``opfmodel study`` in a separate process group, as from a terminal."""
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from opfmodel import cli; cli.main()"
     return subprocess.Popen(
         [sys.executable, "-c", code, "study", *map(str, arguments)],
@@ -884,7 +882,7 @@ def test_a_study_is_validated_without_running(folder: Path) -> None:
     assert json.loads(out) == {"valid": True, "runs": 6, "axes": {"controller.horizon": 3, "demand": 2}}
 
 
-def test_two_studies_on_one_folder_and_a_lock_whose_holder_died(folder: Path) -> None:
+def test_a_folder_is_locked_until_its_holder_dies(folder: Path) -> None:
     (folder / "slow.yaml").write_text(
         f"scenario: {CASE5}\nvary: {{controller.regularisation: [1, 2, 3, 4]}}\n"
     )
@@ -921,13 +919,13 @@ def test_ctrl_c_keeps_finished_runs(workers: int, folder: Path) -> None:
     assert (code, json.loads(out)["skipped"]) == (0, counts["done"])
 
 
-def test_a_file_that_may_not_grow_stops_the_study_and_keeps_what_is_there(folder: Path) -> None:
+def test_a_file_size_limit_stops_the_study_and_keeps_finished_runs(folder: Path) -> None:
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
     assert finish(*run)[0] == 0
     (folder / "other.csv").write_text(DEMAND.replace("10", "15"))
 
     def small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # below what study.json needs
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # less than study.json needs
 
     code, _, err = finish(*run, preexec_fn=small)
     assert code == 2
@@ -958,9 +956,9 @@ def in_own_mounts(*command: str) -> list[str]:
 @pytest.mark.skipif(
     shutil.which("unshare") is None
     or subprocess.run(in_own_mounts("true"), check=False, capture_output=True).returncode != 0,
-    reason="needs a mount namespace for a disk of its own",
+    reason="needs a mount namespace for a separate disk",
 )
-def test_a_full_disk_stops_the_study_and_keeps_what_is_there(folder: Path) -> None:
+def test_a_full_disk_stops_the_study_and_keeps_finished_runs(folder: Path) -> None:
     (folder / "disk").mkdir()
     run_study(read_study(folder / "study.yaml"), folder / "undisturbed", workers=0)
     code = "from opfmodel import cli; cli.main()"
@@ -993,7 +991,7 @@ def test_a_full_disk_stops_the_study_and_keeps_what_is_there(folder: Path) -> No
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
-    """A study of 24 runs, and its results made in one process without any trouble."""
+    """A study of 24 runs, and its results from an undisturbed serial execution."""
     folder = tmp_path_factory.mktemp("undisturbed")
     (folder / "study.yaml").write_text(CASE5_GRID)
     outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
@@ -1002,7 +1000,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[di
 
 
 @pytest.mark.slow
-def test_whatever_is_killed_nothing_is_lost(
+def test_killed_processes_lose_no_finished_run(
     undisturbed: tuple[Path, list[dict[str, Any]]], tmp_path: Path
 ) -> None:
     study, expected = undisturbed
@@ -1020,7 +1018,7 @@ def test_whatever_is_killed_nothing_is_lost(
                 worker_died = kill_a_worker(process.pid, chance)
             time.sleep(0.01)
         workers_killed += worker_died
-        time.sleep(chance.uniform(0.0, 3.0) if all_die_at == before else 0.0)  # as it starts
+        time.sleep(chance.uniform(0.0, 3.0) if all_die_at == before else 0.0)  # during the start
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
@@ -1049,7 +1047,7 @@ def spawned(pid: int) -> list[psutil.Process]:
 
 
 def kill_a_worker(pid: int, chance: random.Random) -> int:
-    """Kill one worker process, if there is one yet; how many were."""
+    """Kill one worker process, if any; return how many were killed."""
     try:
         workers = spawned(pid)
         if not workers:
@@ -1064,7 +1062,7 @@ def kill_a_worker(pid: int, chance: random.Random) -> int:
 def running_scheduler(
     folder: Path, *options: str, env: dict[str, str] | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """A scheduler with two workers on the loopback device: its address and its process."""
+    """Start a scheduler with two workers on the loopback device; yield its address and process."""
     file, started = folder / "scheduler.json", []
 
     def dask(*arguments: str) -> None:
@@ -1088,13 +1086,13 @@ def running_scheduler(
 
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """A scheduler that anybody on this machine can connect to."""
+    """A scheduler to which anybody on this machine can connect."""
     with running_scheduler(tmp_path) as running:
         yield running
 
 
-# What somebody without the keys and, if the tests are run by the superuser, without rights can do at a port:
-# send what a web browser sends, or ask Dask to run a function, plainly or with other keys.
+# What a user without the keys and, if the tests are run by the superuser, without privileges can do at a port:
+# send an HTTP request, or ask Dask to run a function, without TLS or with other keys.
 STRANGER = """
 import asyncio, json, os, pickle, socket, sys
 import distributed.comm.tcp
@@ -1145,7 +1143,7 @@ print(json.dumps({port: asyncio.run(tried(int(port))) for port in sys.argv[1:]})
 
 
 def listening(pid: int) -> dict[int, str]:
-    """Addresses by port on which a process and its children listen."""
+    """Return the addresses, by port, on which a process and its children listen."""
     process = psutil.Process(pid)
     found = [c for p in (process, *process.children(recursive=True)) for c in p.net_connections("inet")]
     return {c.laddr.port: c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN}
@@ -1161,7 +1159,7 @@ def tried_by_a_stranger(ports: list[int]) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_nobody_without_the_keys_can_connect_to_a_local_cluster(folder: Path) -> None:
+def test_connections_to_a_local_cluster_need_its_keys(folder: Path) -> None:
     (folder / "slow.yaml").write_text(
         f"scenario: {CASE5}\nset: {{time.steps: 20}}\nvary: {{controller.regularisation: {list(range(1, 40))}}}\n"
     )
@@ -1182,7 +1180,7 @@ def test_nobody_without_the_keys_can_connect_to_a_local_cluster(folder: Path) ->
 
     assert modes
     assert all(mode == 0o700 for mode in modes.values()), modes  # processes import from there
-    assert len(ports) == 5  # a scheduler, two workers and those that watch them; nothing for web pages
+    assert len(ports) == 5  # a scheduler, two workers and their nannies; no web server
     assert set(ports.values()) == {"127.0.0.1"}
     for port, tries in found.items():
         assert "HTTP" not in tries["web"], port
@@ -1193,7 +1191,7 @@ def test_nobody_without_the_keys_can_connect_to_a_local_cluster(folder: Path) ->
 
 @pytest.mark.slow
 def test_a_stranger_would_be_noticed(scheduler: tuple[str, subprocess.Popen[bytes]]) -> None:
-    """What the test above looks for is there where nothing is protected."""
+    """The test above finds what it looks for on an unprotected scheduler."""
     ports = listening(scheduler[1].pid)
     found = tried_by_a_stranger(list(ports))
     assert any("HTTP" in tries["web"] for tries in found.values())
@@ -1202,7 +1200,7 @@ def test_a_stranger_would_be_noticed(scheduler: tuple[str, subprocess.Popen[byte
 
 
 @pytest.mark.slow
-def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
+def test_a_running_scheduler_with_two_workers_reproduces_the_serial_results(
     undisturbed: tuple[Path, list[dict[str, Any]]],
     scheduler: tuple[str, subprocess.Popen[bytes]],
     tmp_path: Path,
@@ -1218,7 +1216,7 @@ def test_a_running_scheduler_with_two_workers_gives_the_serial_results(
 
 
 @pytest.mark.slow
-def test_a_running_scheduler_can_have_keys_by_dasks_own_configuration(folder: Path) -> None:
+def test_a_running_scheduler_can_take_keys_from_the_configuration_of_dask(folder: Path) -> None:
     from distributed import Security
 
     keys, env = Security.temporary(), dict(os.environ)
@@ -1244,7 +1242,7 @@ def test_a_running_scheduler_can_have_keys_by_dasks_own_configuration(folder: Pa
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_goes_away_is_said_and_finished_runs_are_kept(
+def test_a_lost_scheduler_is_reported_and_finished_runs_are_kept(
     undisturbed: tuple[Path, list[dict[str, Any]]],
     scheduler: tuple[str, subprocess.Popen[bytes]],
     tmp_path: Path,
@@ -1256,17 +1254,14 @@ def test_a_scheduler_that_goes_away_is_said_and_finished_runs_are_kept(
     scheduler[1].kill()
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert (
-        err
-        == f"error: the scheduler at {scheduler[0]} is gone; finished runs are kept: start again to go on\n"
-    )
+    assert re.fullmatch(rf"error: .*scheduler at {re.escape(scheduler[0])}.*\n", err)
     done = [row for row in results(out) if row["status"] != "waiting"]
     assert 3 <= len(done) < 24
     assert all(row in expected for row in done)
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_does_not_answer_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("opfmodel.study.workers._PATIENCE", 1.0)
     for address, said in (
         ("tcp://127.0.0.1:9", "no scheduler answers at 'tcp://127.0.0.1:9'"),
@@ -1278,7 +1273,7 @@ def test_a_scheduler_that_does_not_answer_is_said(folder: Path, monkeypatch: pyt
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["os.kill(os.getpid(), signal.SIGKILL)", "os._exit(3)"])
-def test_a_worker_that_dies_as_it_starts_is_one_sentence(end: str, folder: Path) -> None:
+def test_workers_that_die_at_start_are_reported_in_one_line(end: str, folder: Path) -> None:
     lines = ["import os, signal, sys", "if 'spawn_main' in ' '.join(sys.orig_argv):", f"    {end}", ""]
     (folder / "sitecustomize.py").write_text("\n".join(lines))
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 2)
@@ -1295,10 +1290,10 @@ def test_a_worker_that_dies_as_it_starts_is_one_sentence(end: str, folder: Path)
 def test_workers_that_die_whenever_they_start_end_the_study(folder: Path) -> None:
     code = "from opfmodel.study import workers; workers._SECONDS_IDLE = 5.0; from opfmodel import cli; cli.main()"
     run = ["study", "run", str(folder / "study.yaml"), "--out", str(folder / "out"), "--workers", "1"]
-    command = [sys.executable, "-c", code, *run, "--memory", "100MB"]  # less than an idle one takes
+    command = [sys.executable, "-c", code, *run, "--memory", "100MB"]  # less than an idle worker needs
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"error: no worker has taken up a run for 5 s: .*--memory.*\n", done.stderr)
+    assert re.fullmatch(r"error: no worker .* 5 s.*--memory.*\n", done.stderr)
 
 
 @pytest.mark.slow
@@ -1319,7 +1314,7 @@ def test_ctrl_c_while_the_workers_start_leaves_nothing(seconds: float, folder: P
     assert psutil.wait_procs(workers, timeout=60)[1] == []
 
 
-def test_the_environment_of_workers_is_put_back() -> None:
+def test_the_environment_of_workers_is_restored() -> None:
     from opfmodel.study.cluster import _one_thread
 
     before = dict(os.environ)
@@ -1330,7 +1325,7 @@ def test_the_environment_of_workers_is_put_back() -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_of_memory_fails_its_run_alone(folder: Path) -> None:
+def test_workers_that_run_out_of_memory_fail_only_their_run(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         f"scenario: {CASE5}\nset: {{time.steps: 1, controller.generator_delay: 0}}\n"
         "vary: {controller.horizon: [2, 60000, 3, 4]}\n"
@@ -1338,9 +1333,6 @@ def test_a_worker_that_dies_of_memory_fails_its_run_alone(folder: Path) -> None:
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 1, "--memory", "600MB")
     code, out, err = finish(*run)
     assert code == 1
-    assert (
-        "failed: controller.horizon=60000: 3 workers died over this run, most likely for want of memory"
-        in err
-    )
+    assert re.search(r"failed: controller.horizon=60000: 3 workers died .* memory", err)
     assert [row["status"] for row in read_table(folder / "out")] == ["done", "error", "done", "done"]
     assert "4: 3 done, 1 failed" in out

@@ -1,4 +1,4 @@
-"""Forecasts: what a controller expects of the stages ahead, one file each."""
+"""Forecasts of the time series for a controller, one file each."""
 
 from opfmodel.forecasts.base import Forecast
 from opfmodel.forecasts.file import File

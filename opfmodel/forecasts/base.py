@@ -1,4 +1,4 @@
-"""What a forecast is."""
+"""Base class of forecasts."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ Array = npt.NDArray[np.float64]
 
 __all__ = ["FORECAST_FIELDS", "Array", "Forecast", "part"]
 
-# What is uncertain ahead of time; prices, ratings and the like are known.
+# Fields that are uncertain ahead of time; others, such as prices and ratings, are known.
 FORECAST_FIELDS = ("p", "q", "p_max")
 
 
 class Forecast:
-    """What is expected, at a step, of the steps from there on; one class in one file.
+    """Base class of forecasts, made at one step for that step and later ones.
 
-    Registered by an entry point in the group ``opfmodel.forecasts``; the keyword arguments of the
-    constructor are the options in a scenario file, and one that is annotated as a path is relative
-    to that file. A forecast is a pure function of what happens and of the step, so that solving again
-    or in another order sees the same.
+    Register subclasses as entry points in the group ``opfmodel.forecasts``. The keyword arguments of
+    the constructor are the options in a scenario file; options annotated as paths are relative to
+    that file. A forecast is a pure function of the actual series and the step; repeated calls, in any
+    order, give the same result.
 
     Attributes
     ----------
     perfect
-        Whether it is what happens.
+        Whether the forecast equals the actual series.
     """
 
     perfect: ClassVar[bool] = False
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
-        """Series of ``stages`` values that are expected at step ``time`` for the steps from it on.
+        """Forecast, at step ``time``, ``stages`` values of every series from that step on.
 
         Parameters
         ----------
         actual
-            What happens, from step 0.
+            The actual series, from step 0.
         """
         raise NotImplementedError
 
 
 def part(actual: Profiles, time: int, stages: int) -> dict[SeriesKey, Array]:
-    """What happens in the steps from ``time`` on; series that end before are cut."""
+    """Return the actual series from step ``time`` on; those that end earlier are shorter."""
     return {key: values[time : time + stages] for key, values in actual.items()}

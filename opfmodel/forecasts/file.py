@@ -17,12 +17,12 @@ _ISSUED = "issued"
 
 
 class File(Forecast):
-    """What a CSV file says, in columns headed ``component.field``.
+    """Forecasts from a CSV file, with columns headed ``component.field``.
 
-    A row is a step. With a column ``issued``, which holds the step at which a row was forecast, the
-    rows of one issue are the steps from that one on, and the newest issue counts; without it the
-    whole file was issued at step 0. Lines that begin with ``#`` are comments. What the file says nothing
-    of is known.
+    Each row is one step. An optional column ``issued`` holds the step at which a row was issued; the
+    rows of one issue cover the steps from that one on, and the latest issue applies. Without it, all
+    rows were issued at step 0. Lines that begin with ``#`` are comments. Series that are not in the
+    file are known.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class File(Forecast):
     Raises
     ------
     ProfileError
-        The file cannot be read, or a value is not a number; the message names line and column.
+        The file cannot be read, or a value is not a number; the message gives line and column.
     """
 
     def __init__(self, file: Path) -> None:
@@ -40,17 +40,17 @@ class File(Forecast):
         self._issues = _read(self.file)
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
-        """The newest forecast of the steps from ``time`` on.
+        """Return the latest forecast of the steps from ``time`` on.
 
         Raises
         ------
         ProfileError
-            Nothing was issued by then, the issue ends too early, or a column names no series.
+            No forecast was issued by then, the latest is too short, or a column names no series.
         """
         issued = max((step for step in self._issues if step <= time), default=None)
         if issued is None:
             raise ProfileError(
-                f"{self.file}: nothing was issued by step {time}; first is {min(self._issues)}"
+                f"{self.file}: no forecast issued by step {time}; the first is at step {min(self._issues)}"
             )
         series = self._issues[issued]
         rows, needed = len(next(iter(series.values()))), time - issued + stages
@@ -69,11 +69,11 @@ class File(Forecast):
 
 
 def _read(path: Path) -> dict[int, dict[SeriesKey, Array]]:
-    """Series by the step at which they were issued."""
+    """Read the series, by the step at which they were issued."""
     columns = read_columns(path, optional=(_ISSUED,))
     series = dict(columns.values)
     if not columns.lines:
-        raise ProfileError(f"{path}: has no row of numbers; a forecast has one per step")
+        raise ProfileError(f"{path}: has no rows of numbers; one per step is needed")
     steps = series.pop(_ISSUED, np.zeros(len(columns.lines)))
     parts = np.flatnonzero(steps != np.floor(steps))
     if parts.size:

@@ -1,4 +1,4 @@
-"""Knowing what happens."""
+"""Perfect forecasts."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ __all__ = ["Perfect"]
 
 
 class Perfect(Forecast):
-    """Exactly what happens."""
+    """Perfect foresight of the actual series."""
 
     perfect = True
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
-        """What happens."""
+        """Return the actual series."""
         return Profiles(part(actual, time, stages))

@@ -1,4 +1,4 @@
-"""Expecting that it goes on as it was."""
+"""Persistence forecasts."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ __all__ = ["Persistence"]
 
 
 class Persistence(Forecast):
-    r"""What was last observed, or the same hour of the day before.
+    r"""The last observed value, or the value one period earlier.
 
     .. math::
         \hat d(t + h) = d(t - P + (h \bmod P)), \qquad h = 0, 1, \dots
 
-    with the period P. The step that is about to begin has not been observed yet. Before the first
-    period is over its own values stand for the missing ones.
+    with the period P. The step about to begin has not been observed yet. Until the first period is
+    over, its actual values stand in for missing observations.
 
     Parameters
     ----------
     period
-        Steps after which things repeat: 1 for the last value, 24 for the day before in hours.
+        Period in steps: 1 for the last value, 24 for the previous day in hourly steps.
     fields
-        Fields that are forecast, of loads and generators; others are known.
+        Fields of loads and generators that are forecast; others are known.
     """
 
     def __init__(self, period: int = 1, fields: tuple[str, ...] = FORECAST_FIELDS) -> None:
@@ -35,7 +35,7 @@ class Persistence(Forecast):
         self.fields = fields
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
-        """The values of one period before."""
+        """Return the values of the previous period."""
         seen = time - self.period + np.arange(stages) % self.period
         seen = np.where(seen < 0, seen + self.period, seen)
         held = {key: values[seen] for key, values in actual.items() if key.field in self.fields}

@@ -1,4 +1,4 @@
-"""Time series: what they are (:class:`Profiles`), and the rules that make them, one file each."""
+"""Profile rules, one file each, which build the :class:`opfmodel.data.series.Profiles` of a scenario."""
 
 from opfmodel.data.series import Profiles
 from opfmodel.profiles.base import ProfileRule

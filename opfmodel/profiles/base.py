@@ -1,4 +1,4 @@
-"""What a profile rule is."""
+"""Base class of profile rules, and the workbook that they edit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass
 class Workbook:
-    """Time series in the making; rules read and write them one after the other.
+    """Time series under construction; rules read and write them in turn.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Workbook:
     step
         Hours between two values.
     folder
-        Where relative file names start from.
+        Folder to which file names are relative.
     series
         Series by component and field, in physical units.
     sources
-        The columns of a file that a series is from, for messages.
+        Columns of the file that a series was read from, for messages.
     """
 
     network: Network
@@ -47,7 +47,7 @@ class Workbook:
     sources: dict[SeriesKey, Columns] = field(default_factory=dict)
 
     def get(self, component: str, key: str) -> Array:
-        """The series of a field so far; a constant one if no rule has touched it."""
+        """Return the current series of a field; constant if no rule has changed it."""
         if component not in self.network:
             raise ProfileError(f"no component is named {component!r}; {nearest(component, self.network)}")
         name = SeriesKey(component, key)
@@ -62,14 +62,14 @@ class Workbook:
         self.sources.pop(name, None)
 
     def source(self, error: ProfileError) -> str:
-        """Where in a file the value is that an error is about; empty if it is from none."""
+        """Return the position in a file of the value that an error is about; empty if from no file."""
         if error.series is None or error.step is None or error.series not in self.sources:
             return ""
         key = SeriesKey(*error.series)
         return self.sources[key].place(str(key), error.step)
 
     def loads(self, names: list[str] | None) -> list[str]:
-        """Names of loads: the given ones, checked, or all."""
+        """Check and return names of loads; None stands for all."""
         known = self.network.of(Load)
         for name in names or ():
             if name not in known:
@@ -78,10 +78,10 @@ class Workbook:
 
 
 class ProfileRule:
-    """Changes the time series of a scenario; one class in one file.
+    """Base class of rules that change the time series of a scenario.
 
-    Registered by an entry point in the group ``opfmodel.profiles``; the keyword arguments of the
-    constructor are the options in a scenario file.
+    Register subclasses as entry points in the group ``opfmodel.profiles``. The keyword arguments of
+    the constructor are the options in a scenario file.
     """
 
     def apply(self, book: Workbook) -> None:

@@ -1,4 +1,4 @@
-"""Demand that moves at random."""
+"""Random variation of demand."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Noise(ProfileRule):
     .. math::
         n(t) = \phi\, n(t-1) + \sqrt{1 - \phi^2}\, \sigma\, w(t), \quad w(t) \sim N(0, 1)
 
-    which has the standard deviation :math:`\sigma` from the first step on. Large deviations make
-    demand negative: more renewable feed-in than demand. The power factor does not change. Numbers
+    The process has the standard deviation :math:`\sigma` from the first step on. Large deviations can
+    make demand negative, when renewable feed-in exceeds it. Power factors do not change. Random numbers
     come from NumPy's PCG64 generator and are the same on every machine.
 
     Parameters
@@ -25,7 +25,7 @@ class Noise(ProfileRule):
     deviation
         Standard deviation :math:`\sigma`.
     correlation
-        Correlation :math:`\phi` from one step to the next, at least 0 and less than 1.
+        Correlation :math:`\phi` from one step to the next, at least 0 and below 1.
     seed
         Seed of the random numbers.
     loads
@@ -38,9 +38,9 @@ class Noise(ProfileRule):
         if deviation < 0:
             raise ProfileError(f"noise: deviation = {deviation!r}: must be at least 0")
         if not 0 <= correlation < 1:
-            raise ProfileError(f"noise: correlation = {correlation!r}: must be at least 0 and less than 1")
+            raise ProfileError(f"noise: correlation = {correlation!r}: must be at least 0 and below 1")
         if seed < 0:
-            raise ProfileError(f"noise: seed = {seed!r}: must be a whole number, at least 0")
+            raise ProfileError(f"noise: seed = {seed!r}: must be an integer, at least 0")
         self.deviation = deviation
         self.correlation = correlation
         self.seed = seed
@@ -49,7 +49,7 @@ class Noise(ProfileRule):
     def apply(self, book: Workbook) -> None:
         """Multiply the demand."""
         names = book.loads(self.loads)
-        # step by step, so that a longer horizon changes nothing in the steps before
+        # drawn step by step: a longer horizon does not change earlier steps
         draws = np.random.Generator(np.random.PCG64(self.seed)).standard_normal((book.steps, len(names)))
         noise = self.deviation * draws.T
         for t in range(1, book.steps):

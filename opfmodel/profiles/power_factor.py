@@ -1,4 +1,4 @@
-"""Reactive demand from active demand."""
+"""Reactive demand from a power factor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["PowerFactor"]
 
 
 class PowerFactor(ProfileRule):
-    r"""Set reactive demand to a power factor: :math:`q = p \tan(\arccos \lambda)`, inductive.
+    r"""Set reactive demand by an inductive power factor: :math:`q = p \tan(\arccos \lambda)`.
 
     Parameters
     ----------

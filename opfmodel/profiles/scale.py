@@ -1,4 +1,4 @@
-"""Scaling demand."""
+"""Scaling of demand."""
 
 from __future__ import annotations
 

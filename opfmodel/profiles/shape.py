@@ -10,7 +10,7 @@ __all__ = ["Shape"]
 
 
 class Shape(ProfileRule):
-    """Multiply demand, active and reactive, by a column of a CSV file divided by the mean of all its rows.
+    """Multiply active and reactive demand by a column of a CSV file divided by its mean over all rows.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ class Shape(ProfileRule):
     column
         Heading of the column.
     less
-        Headings of columns that are subtracted first: renewable generation, for effective demand.
+        Headings of columns to subtract first, such as renewable generation for net demand.
     loads
         Names of loads; all by default.
     """

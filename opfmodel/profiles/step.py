@@ -1,4 +1,4 @@
-"""Demand that is higher or lower for a while."""
+"""Temporary changes of demand."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ __all__ = ["Step"]
 
 
 class Step(ProfileRule):
-    """Change demand from one step to another, inclusive, at constant power factor.
+    """Change demand between two steps, inclusive, at constant power factor.
 
-    A step that begins after the last value changes nothing and is a warning: a scenario can be shortened.
+    A change that begins after the last value has no effect and only raises a warning, because a
+    scenario may be shortened.
 
     Parameters
     ----------
@@ -24,9 +25,9 @@ class Step(ProfileRule):
     first, last
         First and last step of the change.
     add
-        What is added to the active demand of each load, MW.
+        Active demand added to each load, MW.
     factor
-        What the demand is multiplied by; give either ``add`` or ``factor``.
+        Factor on the demand; give either ``add`` or ``factor``.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Step(ProfileRule):
         """Change the demand in the steps from ``first`` to ``last``."""
         if self.first >= book.steps:
             warnings.warn(
-                f"step: first = {self.first}: the series have {book.steps} values; nothing changes",
+                f"step: first = {self.first}: has no effect; the series have {book.steps} values",
                 ProfileWarning,
                 stacklevel=2,
             )
@@ -61,7 +62,7 @@ class Step(ProfileRule):
             if self.add is None:
                 factor = np.full_like(p[window], self.factor)
             elif (p[window] == 0).any():
-                raise ProfileError(f"load {load!r} has no active demand, and so no power factor to keep")
+                raise ProfileError(f"load {load!r} has zero active demand and thus no power factor to keep")
             else:
                 factor = 1.0 + self.add / p[window]
             p[window] *= factor

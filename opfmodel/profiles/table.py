@@ -11,11 +11,11 @@ __all__ = ["Table"]
 
 
 class Table(ProfileRule):
-    """Series from the columns of a CSV file, each headed ``component.field``.
+    """Read series from the columns of a CSV file, each headed ``component.field``.
 
-    Lines that begin with ``#`` are comments; a column without a dot in its heading (a time stamp,
-    say) is ignored. What follows the rows that the scenario needs is not read. ``inf`` stands for "no
-    limit" in columns of ratings and ramps, and of generators' ``q_min`` (``-inf``) and ``q_max``.
+    Lines that begin with ``#`` are comments. Columns without a dot in the heading, such as time stamps,
+    are ignored. Rows beyond those that the scenario needs are not read. ``inf`` stands for "no limit"
+    in columns of ratings, ramps, and generators' ``q_min`` (``-inf``) and ``q_max``.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Table(ProfileRule):
         self.file = file
 
     def apply(self, book: Workbook) -> None:
-        """Replace the series of the fields that the file has."""
+        """Replace the series of the fields in the file."""
         path = book.folder / self.file
         columns = read_columns(path, book.steps, unlimited=True)
         for heading, values in columns.values.items():

@@ -1,4 +1,4 @@
-"""The section ``constraints`` of a scenario file."""
+"""The ``constraints`` section of a scenario file."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ __all__ = ["check_constraints", "read_constraints"]
 
 
 def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
-    """The constraints of a file by name.
+    """Return the constraints of a file, by name.
 
     Raises
     ------
     ScenarioError
-        One is not well formed.
+        A constraint is malformed.
     """
     made = {}
     for name, values in settings.constraints.items():
@@ -42,38 +42,38 @@ def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, Cu
 
 
 def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomConstraint:
-    """A linear constraint from plain values.
+    """Build a linear constraint from plain values.
 
     Parameters
     ----------
     values
-        ``terms``, and ``at_least``, ``at_most`` or both, or ``equal``: each a number, a list, or
-        ``{file: , column: }``.
+        ``terms`` and the limits: ``at_least``, ``at_most`` or both, or ``equal``. Each limit is a
+        number, a list, or ``{file: , column: }``.
     steps
-        Number of values that a limit over time needs.
+        Number of values required of a time-varying limit.
     folder
-        Where relative file names start from.
+        Folder to which file names are relative.
 
     Raises
     ------
     ConstraintError
-        What is wrong, with the key where it stands.
+        The constraint is malformed; the error carries the key.
     """
     known = ("terms", "at_least", "at_most", "equal")
     if not isinstance(values, Mapping):
-        raise ConstraintError(f"must be a mapping with {', '.join(known)}")
+        raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
     for key in values:
         if key not in known:
             raise ConstraintError(f"unknown key; {nearest(key, known)}", key)
     terms = values.get("terms")
     if not isinstance(terms, Mapping):
-        raise ConstraintError("must be a mapping from kind.quantity to factors", "terms")
+        raise ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
     limits = {key: _limit(values[key], key, steps, folder) for key in known[1:] if key in values}
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
         if len(limits) > 1:
-            raise ConstraintError("is an equation; leave out at_least and at_most", "equal")
+            raise ConstraintError("cannot be combined with at_least or at_most", "equal")
         limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
     return CustomConstraint.of(name, Linear(terms), **limits)
 
@@ -90,25 +90,27 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
     numbers = []
     for number in value if isinstance(value, list) else [value]:
         if isinstance(number, bool) or not isinstance(number, int | float) or not bounded(number):
-            raise ConstraintError(f"{shown(number)}: must be a finite number, or a list of one per step", key)
+            raise ConstraintError(
+                f"{shown(number)}: must be a finite number, or a list with one per step", key
+            )
         numbers.append(float(number))
     if not isinstance(value, list):
         return numbers[0]
     if len(numbers) < steps:
-        raise ConstraintError(f"has {len(numbers)} values; {steps} are needed, steps + horizon - 1", key)
+        raise ConstraintError(f"has {len(numbers)} values; {steps} are needed (steps + horizon - 1)", key)
     return numbers[:steps]
 
 
 def check_constraints(
     document: Document, constraints: Mapping[str, CustomConstraint], problem: MultiStage
 ) -> None:
-    """Raise an error with the position of a term that is not in the network or not published.
+    """Check that every term exists in the network and is published by the formulation.
 
-    A term that only this formulation does not publish is reported after all others.
+    Errors carry the position of the term. Terms that only this formulation lacks are reported last.
     """
     if not constraints:
         return
-    bare = problem.variant(elastic=None, objective=Economic())  # set-points might have to be solved for
+    bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
     with document.located("controller"):
         stage: Any = PhysicalStage(bare.declare(stages=1))
     unpublished: dict[tuple[str, ...], ModelError] = {}

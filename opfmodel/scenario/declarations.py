@@ -1,4 +1,4 @@
-"""The section ``network`` of a scenario file."""
+"""The ``network`` section of a scenario file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["Declarations", "component_kinds"]
 
 
 class Declarations:
-    """Makes the network of a scenario from its section."""
+    """Builder of the network of a scenario from its ``network`` section."""
 
     _OWN = ("file", "name", "base_mva", "default_cost", "update", "remove")
 
@@ -41,7 +41,7 @@ class Declarations:
         self.kinds = {kind.plural: kind for kind in kinds}
 
     def network(self, name: str) -> Network:
-        """The network that the section declares, by its own name or else by the given one."""
+        """Build the declared network; ``name`` applies unless the section states its own."""
         known = (*self._OWN, *self.kinds)
         for key in self.section:
             if key not in known:
@@ -61,7 +61,7 @@ class Declarations:
         return network
 
     def check(self, network: Network) -> None:
-        """Raise an error with the position of the component that names an unknown bus."""
+        """Check that every component names existing buses; errors carry the component's position."""
         try:
             per_unit(network)
         except ComponentError as error:
@@ -83,9 +83,9 @@ class Declarations:
             with self.document.located("network", "base_mva"):
                 return Network(named, 100.0 if base_mva is None else base_mva)
         if not isinstance(file, str):
-            raise self.document.error(("network", "file"), "must be a path, relative to this file")
+            raise self.document.error(("network", "file"), "must be a path relative to this file")
         if base_mva is not None:
-            raise self.document.error(("network", "base_mva"), "is given by the network file")
+            raise self.document.error(("network", "base_mva"), "cannot be combined with file, which sets it")
         price = self.section.get("default_cost")
         if price is not None and (isinstance(price, bool) or not isinstance(price, int | float)):
             raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
@@ -107,13 +107,15 @@ class Declarations:
             yield name, fields
 
     def _declare(self, network: Network, kind: type[Component], name: str, fields: dict[str, Any]) -> None:
-        """Declare one component, or one at every bus where name and bus are written with a star."""
+        """Declare one component, or one per bus if name and bus contain a star."""
         with self._fields(kind.plural, name):
             if str(fields.get("bus")) != "*":
                 network.add(name, kind.from_mapping(name, self._shares(kind, name, fields)))
                 return
             if name.count("*") != 1:
-                raise ComponentError(name, "bus", "*", "for one at every bus the name needs a * too: 'cell*'")
+                raise ComponentError(
+                    name, "bus", "*", "for one per bus, the name must contain one * as well, such as 'cell*'"
+                )
             for bus in network.of(Bus):
                 member = name.replace("*", bus)
                 network.add(
@@ -121,11 +123,11 @@ class Declarations:
                 )
 
     def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
-        """Change fields of one component, or of all whose names match a pattern."""
+        """Change fields of every component whose name matches a pattern."""
         matching = [n for n in network if name_pattern(name).fullmatch(n)]
         if not matching:
             raise self.document.error(
-                ("network", "update", name), f"no component of that name; {nearest(name, network)}"
+                ("network", "update", name), f"there is no such component; {nearest(name, network)}"
             )
         for member in matching:
             old = network[member]
@@ -148,7 +150,7 @@ class Declarations:
     def _shares(
         kind: type[Component], name: str, fields: dict[str, Any], others: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Replace values such as ``10% of p_max`` by numbers."""
+        """Replace shares such as ``10% of p_max`` with numbers."""
         known = {k: v for k, v in {**(others or {}), **fields}.items() if not _SHARE.fullmatch(str(v))}
         resolved = dict(fields)
         for key, value in fields.items():
@@ -166,9 +168,9 @@ _SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
 
 
 def component_kinds() -> tuple[list[type[Component]], list[str]]:
-    """Classes of components that a scenario can declare, and what is wrong with devices that do not load.
+    """Return the component classes that a scenario can declare, and why other devices failed to load.
 
-    The classes are the built-in ones and those of other packages' devices.
+    The classes are the built-in ones and those of devices from other packages.
     """
     known: dict[str, type[Component]] = {kind.kind: kind for kind in BUILT_IN}
     broken = []
@@ -183,5 +185,5 @@ def component_kinds() -> tuple[list[type[Component]], list[str]]:
             if isinstance(getattr(component, "plural", None), str) and component.plural not in taken:
                 known[component.kind] = component
             else:
-                broken.append(f"device {name!r} of {plugin.origin}: its component needs a plural of its own")
+                broken.append(f"device {name!r} of {plugin.origin}: its component must have a unique plural")
     return list(known.values()), broken

@@ -1,4 +1,4 @@
-"""YAML files as plain data that remembers where each value stands."""
+"""YAML files as plain data with the position of every value."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _MOST_BYTES = 20_000_000
-_MOST_NAME_BYTES = 120  # a file system takes 255, and a folder may have the names of a scenario and a variant
+_MOST_NAME_BYTES = 120  # file systems allow 255, and a folder name may combine a scenario and a variant
 
 
 @dataclass(frozen=True)
 class Document:
-    """The content of a YAML file and the position of every value in it.
+    """The content of a YAML file with the position of every value.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Document:
     place: Place
 
     def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
-        """An error that names file, line, column and key; of a missing key the parent's position."""
+        """Return an error with file, line, column and key; a missing key has its parent's position."""
         place = self.place.at(key)
         name = ".".join(str(part) for part in key)
         return ScenarioError(
@@ -56,7 +56,7 @@ class Document:
 
     @contextmanager
     def located(self, *key: str | int) -> Iterator[None]:
-        """Give errors that are raised inside the position of a key."""
+        """Add the position of a key to errors raised inside the block."""
         try:
             yield
         except ScenarioError:
@@ -67,13 +67,13 @@ class Document:
             raise self.error(key, str(error)) from error
 
     def over(self, key: Key) -> Document:
-        """The document with the positions of the mapping at ``key`` for the same keys at the root."""
+        """Return the document with root positions overridden by those of the mapping at ``key``."""
         laid = self.place.at(key)._replace(line=self.place.line, column=self.place.column)
         return replace(self, place=_laid(self.place, laid))
 
 
 def _laid(base: Place, over: Place) -> Place:
-    """The places of two mappings, the latter's first."""
+    """Merge the positions of two mappings; those of ``over`` take precedence."""
     if not (isinstance(base.inside, dict) and isinstance(over.inside, dict)):
         return over
     both = {key: _laid(base.inside[key], at) if key in base.inside else at for key, at in over.inside.items()}
@@ -81,59 +81,60 @@ def _laid(base: Place, over: Place) -> Place:
 
 
 def check_printable(document: Document, key: Key, name: str) -> None:
-    """Raise :class:`ScenarioError` for a name with characters that cannot be seen."""
+    """Raise :class:`ScenarioError` for a name with invisible characters."""
     if fault := name_fault(name):
         raise document.error(key, f"{name!r}: the name {fault}")
 
 
 def check_name(document: Document, key: Key, name: str) -> None:
-    """Raise :class:`ScenarioError` for a name that cannot be that of a folder of results."""
+    """Raise :class:`ScenarioError` for a name that cannot name a results folder."""
     check_printable(document, key, name)
     if not name.strip(". ") or set(name) & set("/\\\0"):
         raise document.error(
-            key, f"{name!r}: is the name of a folder of results: it cannot be empty, dots, or hold / or \\"
+            key,
+            f"{name!r}: must not be empty, consist of dots, or contain / or \\; it names the results folder",
         )
     if fault := name_fault(name):
         raise document.error(key, f"{name!r}: {fault}")
     if len(name.encode()) > _MOST_NAME_BYTES:
         raise document.error(
-            key, f"{shown(name)}: is the name of a folder: it has at most {_MOST_NAME_BYTES} bytes"
+            key, f"{shown(name)}: must have at most {_MOST_NAME_BYTES} bytes; it names the results folder"
         )
 
 
 def read_document(path: str | Path) -> Document:
-    """Read a YAML 1.2 file; tags are refused, so that nothing in it can be more than data.
+    """Read a YAML 1.2 file as plain data; tags are rejected.
 
     Raises
     ------
     ScenarioError
-        The file cannot be opened, or is not YAML; the message names line and column.
+        The file cannot be opened, or is not YAML; the message gives line and column.
     """
     path = Path(path)
     return Document(path, *parse(read_text(path, ScenarioError, _MOST_BYTES), str(path)))
 
 
 def validated(document: Document, content: Any, model: type[Model]) -> Model:
-    """The content of a document, or what became of it, checked by a schema.
+    """Validate the content of a document, with overrides applied, against a schema.
 
     Raises
     ------
     ScenarioError
-        An unknown key, a missing one, a wrong type or a value out of range; the message names
-        file, line and column and what would be accepted.
+        An unknown or missing key, a wrong type, or a value out of range; the message gives file,
+        line, column and accepted values.
     """
     try:
         return model.model_validate(content)
     except ValidationError as error:
         faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]
-        # of what the branches of a union complain about, the deepest tells most
+        # each branch of a union reports an error; the deepest is the most specific
         key, fault = max((f for f in faults if f[0][: len(outer)] == outer), key=lambda f: len(f[0]))
         raise document.error(key, _explained(fault, key, model)) from None
 
 
 def _path(content: Any, fault: Mapping[str, Any]) -> Key:
-    """Where an error stands: pydantic's location without the branches of unions that it names."""
+    """Return the key of an error: pydantic's location without the union branches in it."""
     key: list[str | int] = []
     for part in fault["loc"]:
         inside = isinstance(content, dict) and part in content
@@ -152,14 +153,14 @@ def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> st
     given = f"{shown(value)}: " if isinstance(value, str | int | float | bool | None) else ""
     if fault["type"] in ("model_type", "dict_type"):
         keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
-        return f"{given}must be a mapping" + (f" with keys of {', '.join(keys)}" if keys else "")
+        return f"{given}must be a mapping" + (f"; accepted keys are {', '.join(keys)}" if keys else "")
     if fault["type"] == "value_error":
         return f"{given}{fault['ctx']['error']}"
     return f"{given}{fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
-    """The schema of the mapping at a path of keys."""
+    """Return the schema of the mapping at a path of keys."""
     for part in key:
         if str(part) in model.model_fields:
             model = next(_models(model.model_fields[str(part)].annotation), model)
@@ -167,7 +168,7 @@ def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The schemas among the alternatives of an annotation."""
+    """Yield the schemas among the alternatives of an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):

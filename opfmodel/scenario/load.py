@@ -1,4 +1,4 @@
-"""Reading a scenario file: one network, one problem, and nothing of it executed."""
+"""Read a scenario file into one network and one problem, without executing anything in it."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ def load_scenario(
     Parameters
     ----------
     path
-        The file, or its content where it has been read already.
+        The file, or a document that has already been read.
     variant
-        One of the file's variants, whose keys are laid over the others.
+        Name of a variant, whose keys override the others.
     overrides
-        Values by dotted key, laid over everything: ``{"controller.horizon": 24}``.
+        Values by dotted key, such as ``{"controller.horizon": 24}``; they override everything else.
 
     Raises
     ------
     ScenarioError
-        The file breaks its schema: an unknown key, a wrong type, a value out of range; the
-        message names file, line, column and what would be accepted.
+        The file violates its schema: an unknown key, a wrong type, or a value out of range; the
+        message gives file, line, column and accepted values.
     """
     document = path if isinstance(path, Document) else read_document(path)
     content = laid_over(document, variant, overrides)
@@ -87,7 +87,7 @@ def load_scenario(
     with document.located("plant"):
         plant = make_plant(settings)
         plant.check(problem.arrays)
-    # last, and in this order: parts that do not fit together must not hide a mistake
+    # last, and in this order: an incompatibility must not hide an error
     check_constraints(document, constraints, problem)
     with document.located("forecast"):
         check_response(forecast, plant)
@@ -99,7 +99,7 @@ def load_scenario(
 def _problem(
     document: Document, settings: ScenarioFile, network: Network, profiles: Profiles, objective: Objective
 ) -> MultiStage:
-    """The problem of the section ``controller``, without constraints."""
+    """Build the problem of the ``controller`` section, without custom constraints."""
     controller = settings.controller
     with document.located("controller", "formulation"):
         plugins.load("formulation", controller.formulation)
@@ -126,12 +126,12 @@ def _problem(
 def laid_over(
     document: Document, variant: str | None = None, overrides: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The keys of a scenario file with a variant and overrides laid over them, not yet checked.
+    """Return the keys of a scenario file with a variant and overrides applied, without validation.
 
     Parameters
     ----------
     variant, overrides
-        As :func:`load_scenario` takes them.
+        As for :func:`load_scenario`.
 
     Raises
     ------
@@ -139,9 +139,9 @@ def laid_over(
         The document is not a mapping, or has no such variant.
     """
     if not isinstance(document.content, dict):
-        raise document.error((), "a scenario is a mapping with the key 'network' and others")
+        raise document.error((), "a scenario is a mapping with at least the key 'network'")
     if "vary" in document.content:
-        raise document.error(("vary",), "this is a study; 'opfmodel study run' runs it")
+        raise document.error(("vary",), "this file is a study; run it with 'opfmodel study run'")
     content = deepcopy(document.content)
     if variant is not None:
         variants = content.get("variants") or {}
@@ -151,15 +151,15 @@ def laid_over(
     for key, value in (overrides or {}).items():
         parts = key.split(".")
         if len(parts) > MOST_LEVELS:
-            raise document.error((), f"{shown(key)}: there is no key of {len(parts)} parts")
+            raise document.error((), f"{shown(key)}: has {len(parts)} parts; a key has at most {MOST_LEVELS}")
         content = _overlay(content, _nested(parts, value))
     return content
 
 
 def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
-    """Raise an error for a number that is none, or that would overflow when it is squared.
+    """Raise an error for NaN, or for a number that would overflow when squared.
 
-    Infinity is accepted here, for it means "no limit" in some places; options of solvers are theirs.
+    Infinity is accepted here because some fields use it for "no limit". Solver options are not checked.
     """
     for part, value in content.items() if isinstance(content, dict) else enumerate(content):
         if isinstance(value, dict | list):
@@ -172,7 +172,7 @@ def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] 
 
 
 def _overlay(base: Any, over: Any) -> Any:
-    """``over`` laid over ``base``: mappings key by key, anything else replaced."""
+    """Merge ``over`` into ``base``: mappings key by key, anything else replaced."""
     if isinstance(base, dict) and isinstance(over, dict):
         return {**base, **{key: _overlay(base.get(key), value) for key, value in over.items()}}
     return over

@@ -1,4 +1,4 @@
-"""The parts of a scenario that plugins make: series, objectives, the forecast, the plant."""
+"""The parts of a scenario that are plugins: profile rules, objectives, forecast and plant."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "ma
 
 
 def make_profiles(document: Document, settings: ScenarioFile, network: Network) -> Profiles:
-    """The time series that the rules of the file make one after the other."""
+    """Build the time series by applying the profile rules of the file in order."""
     _check_size(document, settings, network)
     book = Workbook(network, settings.length, settings.time.step, document.path.parent)
     for number, spec in enumerate(settings.profiles):
@@ -48,7 +48,7 @@ def make_profiles(document: Document, settings: ScenarioFile, network: Network) 
 
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
-    """Raise an error before series are made, or a run is begun, for which there is no memory."""
+    """Raise an error, before building any series, if series or results would not fit in memory."""
     steps, horizon = settings.time.steps, settings.controller.horizon
     loads = len(network.of(Load))
     with document.located("time", "steps"):
@@ -59,7 +59,7 @@ def _check_size(document: Document, settings: ScenarioFile, network: Network) ->
 
 @contextmanager
 def _sourced(book: Workbook) -> Iterator[None]:
-    """Give errors about a value from a file the line and column where it stands."""
+    """Add line and column to errors about a value that was read from a file."""
     try:
         yield
     except ProfileError as error:
@@ -72,14 +72,14 @@ def make_objective(
     spec: Spec,
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
 ) -> Objective:
-    """An objective, or the weighted sum of several.
+    """Create an objective, or the weighted sum of several.
 
     Parameters
     ----------
     key
-        Where it stands in the file.
+        Path of keys to it in the file.
     convert
-        How values of the file become objects of a type; see :func:`opfmodel.plugins.make`.
+        Converters from values of the file to objects, by type; see :func:`opfmodel.plugins.make`.
     """
     if not isinstance(spec, list):
         name, options = _single(document, key, spec)
@@ -100,7 +100,7 @@ def make_objective(
 
 
 def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
-    """What the controller is to expect of the series."""
+    """Create the controller's forecast of the series."""
     name, options = _single(document, ("forecast",), settings.forecast)
     key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
     with document.located(*key):
@@ -112,7 +112,7 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
 
 
 def make_plant(settings: ScenarioFile) -> Plant:
-    """What is to respond to the plans; a new one, without a past."""
+    """Create the plant of a closed loop, without history."""
     section = settings.plant
     made = plugins.make("plant", section.mode, section.model_extra or {}, beside=("mode",))
     assert isinstance(made, Plant)
@@ -122,14 +122,14 @@ def make_plant(settings: ScenarioFile) -> Plant:
 def make_setpoints(
     value: Any, document: Document, steps: int, network: Network, single_stages: Callable[[], Setpoints]
 ) -> Setpoints:
-    """Set-points as a file states them.
+    """Convert set-points from a scenario file.
 
     Parameters
     ----------
     steps
-        Number of values that a file of them needs.
+        Number of values required of a CSV file.
     single_stages
-        Solves for the optima of the single stages, when they are needed.
+        Solves for the single-stage optima; called only when they are used.
     """
     if value == "single-stage":
         return Setpoints(lambda: single_stages().values)
@@ -140,14 +140,14 @@ def make_setpoints(
     if set(value) == {"file"}:
         value = read_columns(document.path.parent / str(value["file"]), steps).values
     given = Setpoints(value)
-    given.arrays(per_unit(network))  # so that a mistake has its place in the file
+    given.arrays(per_unit(network))  # so that errors are located in the file
     return given
 
 
 def _single(
     document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Name and options of a plugin: ``name`` or ``{name: {option: value}}``."""
+    """Return name and options of a plugin, given as ``name`` or ``{name: {option: value}}``."""
     if isinstance(spec, str):
         return spec, {}
     if len(spec) != 1:

@@ -1,4 +1,4 @@
-"""A scenario that has been read and checked."""
+"""A scenario that has been read and validated."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ __all__ = ["Scenario"]
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A scenario that has been read and checked.
+    """A scenario that has been read and validated.
 
     Attributes
     ----------
     name
-        Its name, with the variant if one was chosen.
+        Name of the scenario, followed by that of the variant, if any.
     problem
-        The multi-stage problem of the controller; compiled when it is first solved.
+        The multi-stage problem of the controller; compiled when first solved.
     cost
-        The objective that realised costs are metered with.
+        Objective with which realised costs are evaluated.
     forecast
-        What the controller expects of the profiles.
+        The controller's forecast of the profiles.
     settings
-        The checked content of the file.
+        Validated content of the file.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Scenario:
 
     @property
     def profiles(self) -> Profiles:
-        """The time series, as they happen."""
+        """The actual time series."""
         return self.problem.profiles
 
     @property
@@ -65,20 +65,20 @@ class Scenario:
 
     @property
     def published(self) -> dict[str, float]:
-        """Costs that the literature reports for the scenario, in $."""
+        """Costs reported in the literature for this scenario, $."""
         published = self.settings.published
         return {} if published is None else published.model_dump(exclude={"source"}, exclude_none=True)
 
     @property
     def elastic(self) -> Elastic:
-        """Prices at which limits give way where a problem has no solution."""
+        """Violation prices for infeasible problems."""
         return Elastic(**self.settings.controller.elastic.model_dump())
 
     def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
-        """The dispatch that the first problem starts from, in physical units; None leaves it free.
+        """Return the dispatch from which the first problem starts, in physical units; None if free.
 
-        A single-stage optimum is that of the AC equations whatever the controller's formulation, so
-        that all formulations start from the same dispatch.
+        The single-stage optimum always uses the AC equations, so all formulations start from the
+        same dispatch.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Scenario:
         return {name: np.asarray(data[name].values[0]) for name in names}
 
     def single_stages(self, steps: int) -> SingleStageSequence:
-        """The AC optima of the first steps by themselves, with the costs that are metered.
+        """Return the single-stage AC optima of the first steps under the objective ``cost``.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class Scenario:
         return self._sequences[steps]
 
     def plant(self) -> Plant:
-        """What responds to the plans of the controller; a new one, without a past."""
+        """Return a new plant, without history."""
         return make_plant(self.settings)
 
     def simulate(self, progress: bool = False) -> Run:

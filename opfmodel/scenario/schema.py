@@ -1,4 +1,4 @@
-"""The keys of a scenario file and what their values must be; ``docs/scenarios.md`` says what they mean."""
+"""Schema of scenario files; ``docs/scenarios.md`` documents the keys."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ControllerSection(Section):
 
     @property
     def back_end(self) -> SolverSection:
-        """The solver and its options; a name alone has none."""
+        """Solver and options; a bare name has no options."""
         return self.solver if isinstance(self.solver, SolverSection) else SolverSection(name=self.solver)
 
 
@@ -91,5 +91,5 @@ class ScenarioFile(Section):
 
     @property
     def length(self) -> int:
-        """Number of steps that time series must have: those of the loop, and the last plan's horizon."""
+        """Required length of time series, which must cover the horizon of the last plan."""
         return self.time.steps + self.controller.horizon - 1

@@ -1,6 +1,6 @@
-"""Studies: one scenario under a grid of variations, run on many processes, resumable.
+"""Studies: a scenario over a grid of variations, run in parallel processes and resumable.
 
-``docs/studies.md`` describes the file and the folder.
+``docs/studies.md`` describes the study file and the results folder.
 """
 
 from opfmodel.study.document import Axis, Study, read_study

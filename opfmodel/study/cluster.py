@@ -1,7 +1,7 @@
-"""A Dask cluster of this machine for one study.
+"""A Dask cluster on this machine for one study.
 
-Only who has the keys of the cluster can connect to it: they are made for it, live in the memory of
-its processes, and end with it. It serves no web pages. It is imported by its workers.
+Connections require TLS keys that are generated for the cluster and exist only in the memory of its
+processes. It serves no web pages. Worker processes import this module.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from solvers.threads import THREAD_VARIABLES
 
 __all__ = ["DEATHS", "local_cluster"]
 
-DEATHS = 3  # of workers over one run, before it is given up
-_SECONDS_TO_START = 300.0  # for a worker; many start at once
+DEATHS = 3  # of workers during one run, before the run is abandoned
+_SECONDS_TO_START = 300.0  # per worker; many start at once
 
 _CONFIGURATION = {
     "distributed.scheduler.allowed-failures": DEATHS - 1,
-    "distributed.scheduler.worker-ttl": None,  # a long solve is no sign of death; a closed connection is
-    # nothing is kept in a worker's memory that could be spilled, and to pause would be for ever
+    "distributed.scheduler.worker-ttl": None,  # a long solve is not a dead worker; a closed connection is
+    # workers hold no data that could be spilled, and a paused worker would never resume
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
@@ -41,12 +41,12 @@ _CONFIGURATION = {
 
 class _Scheduler(Scheduler):  # type: ignore[misc]
     def start_http_server(self, *_: Any, **__: Any) -> None:
-        """Serve no web pages; Dask's own does even where there is no dashboard."""
+        """Serve no web pages; Dask does so even without a dashboard."""
 
 
 class _Worker(Worker):  # type: ignore[misc]
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        # Ctrl-C reaches every process of a terminal; workers leave it to the one that started them
+        # Ctrl-C reaches every process of a terminal; the main process handles it
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         super().__init__(*arguments, **options)
 
@@ -56,14 +56,14 @@ class _Worker(Worker):  # type: ignore[misc]
 
 @contextmanager
 def local_cluster(workers: int, memory: str | None) -> Iterator[SpecCluster]:
-    """A scheduler in this process and workers in processes of their own, each with one thread.
+    """Start a scheduler in this process and single-threaded workers in separate processes.
 
     Parameters
     ----------
     workers
-        Number of processes.
+        Number of worker processes.
     memory
-        What each may use, such as ``"2 GiB"``; by default an equal share of the machine's.
+        Memory limit of each worker, such as ``"2 GiB"``; by default an equal share of the machine.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def local_cluster(workers: int, memory: str | None) -> Iterator[SpecCluster]:
             "worker_class": _Worker,
             "nthreads": 1,
             "memory_limit": memory or "auto",
-            "env": {"TMPDIR": own},  # for what a killed worker leaves
+            "env": {"TMPDIR": own},  # for files left by killed workers
             "death_timeout": _SECONDS_TO_START,
             "silence_logs": logging.CRITICAL,
             **place,
@@ -92,16 +92,16 @@ def local_cluster(workers: int, memory: str | None) -> Iterator[SpecCluster]:
 
 
 def _configured(folder: str) -> dask.config.set:
-    """Dask's configuration for a cluster whose files are in a folder of its own.
+    """Configure Dask to keep the files of a cluster in a private folder.
 
-    Every part of a cluster imports from its folder before all others, so that one to which other
-    users can write, as they can to Dask's own below ``/tmp``, would be as good as an open port.
+    Every process of a cluster searches its folder first when it imports. If other users could write
+    there, as they can to Dask's default folder below ``/tmp``, they could run code in the cluster.
     """
     return dask.config.set({**_CONFIGURATION, "temporary-directory": folder})
 
 
 def _started(**options: Any) -> SpecCluster:
-    """A cluster that has started; one that Ctrl-C finds half started is closed."""
+    """Start a cluster; on Ctrl-C, close it as soon as it has started."""
     with ThreadPoolExecutor(1, initializer=_block_ctrl_c) as thread:
         starting = thread.submit(SpecCluster, **options)
         try:
@@ -115,14 +115,14 @@ def _started(**options: Any) -> SpecCluster:
 
 
 def _block_ctrl_c() -> None:
-    """Keep Ctrl-C from the processes that this thread starts, which are to leave it to this process."""
+    """Block Ctrl-C in processes started by this thread; the main process handles it."""
     if sys.platform != "win32":
-        resource_tracker.ensure_running()  # its start would unblock it
+        resource_tracker.ensure_running()  # starting it later would unblock the signal
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _reason(error: BaseException) -> str:
-    """What an error comes from in the end, in one line."""
+    """Return the root cause of an error in one line."""
     while error.__cause__ is not None:
         error = error.__cause__
     return " ".join(str(error).split()) or type(error).__name__
@@ -130,11 +130,11 @@ def _reason(error: BaseException) -> str:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """An environment for processes whose linear algebra has one thread, put back in the end."""
+    """Limit linear algebra in child processes to one thread; restore the environment at the end."""
     before = dict(os.environ)
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
         yield
     finally:
-        os.environ.clear()  # of what Dask has added too
+        os.environ.clear()  # Dask adds variables, too
         os.environ.update(before)

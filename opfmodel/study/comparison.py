@@ -1,4 +1,4 @@
-"""Economic control beside single-stage optima and tracking: the table of Faulwasser and Engelmann."""
+"""Economic control compared with single-stage optima and tracking, after Faulwasser and Engelmann."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from opfmodel.simulation import Run
 
 __all__ = ["COSTS", "Comparison", "compare", "markdown", "rows"]
 
-# Names of the costs, and the variants of a scenario whose closed loops they are.
+# Costs of closed loops that are variants of a scenario.
 _VARIANTS = {"J_t": "setpoint-tracking", "J_b": "state-of-charge-tracking"}
 COSTS = {
-    "J_e": "closed loop of the scenario's own controller",
+    "J_e": "closed loop with the scenario's controller",
     "J_s": "sum of single-stage optima, without storage and ramps",
-    "J_t": "closed loop that tracks the single-stage optima",
-    "J_b": "closed loop that tracks half-full storages",
+    "J_t": "closed loop tracking the single-stage optima",
+    "J_b": "closed loop tracking half-full storage",
 }
 
 
@@ -30,12 +30,12 @@ class Comparison:
     Attributes
     ----------
     costs
-        In $ by ``J_e``, ``J_s``, ``J_t``, ``J_b``; None where the scenario has no such variant or a
+        Costs in $ by ``J_e``, ``J_s``, ``J_t``, ``J_b``; None if the scenario lacks the variant or a
         step failed.
     published
-        The same from the literature, as far as the scenario states them.
+        Published costs that the scenario states.
     failures
-        Why a cost is missing, by name.
+        Errors behind missing costs, by name of the cost.
     """
 
     scenario: str
@@ -53,7 +53,7 @@ class Comparison:
         }
 
     def difference(self, name: str) -> float | None:
-        """Relative difference from the published cost; None where there is none."""
+        """Return the relative difference from the published cost; None if either is missing."""
         cost, published = self.costs[name], self.published.get(name)
         return None if cost is None or published is None else cost / published - 1.0
 
@@ -64,28 +64,28 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     Parameters
     ----------
     on_run
-        Called with a few words before each of the runs.
+        Called with a short description before each run.
 
     Raises
     ------
     ScenarioError
-        The file, or one of its variants, is not accepted.
+        The file or one of its variants is invalid.
     KeyboardInterrupt
         The user pressed Ctrl-C during one of the runs.
     """
     costs: dict[str, float | None] = dict.fromkeys(COSTS)
     failures: dict[str, str] = {}
-    said = on_run if on_run is not None else lambda _: None
+    report = on_run if on_run is not None else lambda _: None
     scenario = load_scenario(path)
 
     def loop(name: str, controlled: Scenario) -> None:
-        said(f"{controlled.name}: {COSTS[name]}")
+        report(f"{controlled.name}: {COSTS[name]}")
         try:
             run: Run = controlled.simulate()
         except OpfmodelError as error:
             failures[name] = str(error)
             return
-        if run.interrupted:  # the loop ends in order, and the comparison with it
+        if run.interrupted:  # the loop returns normally; the comparison stops
             raise KeyboardInterrupt
         if run.status == "done":
             costs[name] = run.cost
@@ -104,7 +104,7 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
 
 
 def rows(comparisons: list[Comparison]) -> list[list[str]]:
-    """The comparisons in thousands of $: a row for ours, one for what is published, the difference."""
+    """Format comparisons in k$: rows of computed costs, published costs and differences."""
     table = []
     for comparison in comparisons:
         table.append([comparison.scenario, *(_thousands(comparison.costs[name]) for name in COSTS)])
@@ -116,7 +116,7 @@ def rows(comparisons: list[Comparison]) -> list[list[str]]:
 
 
 def markdown(comparisons: list[Comparison]) -> str:
-    """The rows as a table in Markdown."""
+    """Format comparisons as a Markdown table."""
     lines = [["k$", *COSTS], ["---", *("---:" for _ in COSTS)], *rows(comparisons)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

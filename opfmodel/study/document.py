@@ -1,4 +1,4 @@
-"""The study file: a base scenario and the axes along which it varies."""
+"""Study files: a base scenario and the axes along which it varies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Axis", "Study", "Variation", "read_study"]
 Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
 
-_MOST_RUNS = 100_000  # each has a record and a row
+_MOST_RUNS = 100_000  # each run has a record and a row
 
 
 class _File(BaseModel):
@@ -38,19 +38,18 @@ class _File(BaseModel):
 
 @dataclass(frozen=True)
 class Axis:
-    """One thing that varies.
+    """One axis of the grid of a study.
 
     Attributes
     ----------
     name
-        A dotted key of the scenario, ``scenario`` or ``variant``; or a name of the study's own for
-        bundles of keys.
+        A dotted key of the scenario, ``scenario`` or ``variant``; for bundles of keys, any name.
     labels
-        What the table shows for each point of the axis.
+        Label of each point in the table.
     changes
-        The keys that each point sets.
+        Keys set by each point.
     positions
-        Where each point stands in the file.
+        Position of each point in the file.
     """
 
     name: str
@@ -60,18 +59,18 @@ class Axis:
 
     @property
     def keys(self) -> set[str]:
-        """All keys that the axis sets."""
+        """All keys set by the axis."""
         return {key for changes in self.changes for key in changes}
 
 
 @dataclass(frozen=True)
 class Variation:
-    """One run of a study: a scenario, one of its variants, and keys laid over it.
+    """One run of a study: a scenario, a variant, and overrides.
 
     Attributes
     ----------
     labels
-        The point on each axis, by the axis' name.
+        Label of the point on each axis, by name of the axis.
     """
 
     labels: Mapping[str, Any]
@@ -82,12 +81,12 @@ class Variation:
 
 @dataclass(frozen=True)
 class Study:
-    """A study file that has been read and checked.
+    """A study file that has been read and validated.
 
     Attributes
     ----------
     base
-        Keys that every run sets unless an axis says otherwise.
+        Keys set in every run unless an axis overrides them.
     """
 
     name: str
@@ -100,12 +99,12 @@ class Study:
         return math.prod(len(axis.labels) for axis in self.axes)
 
     def variations(self) -> Iterator[Variation]:
-        """All runs; the last axis varies fastest."""
+        """Yield all runs; the last axis varies fastest."""
         for point in itertools.product(*(range(len(axis.labels)) for axis in self.axes)):
             yield self.variation(point)
 
     def variation(self, point: tuple[int, ...]) -> Variation:
-        """The run at a point of the grid, given by its place on each axis, or on the first few."""
+        """Return the run at a point of the grid, given by indices on all axes or on the first few."""
         placed = list(zip(self.axes, point, strict=False))
         changes = [axis.changes[place] for axis, place in placed]
         keys = {**self.base, **ChainMap(*map(dict, changes))}
@@ -119,36 +118,36 @@ class Study:
 
 
 def read_study(path: str | Path) -> Study:
-    """Read a study file and try every point of every axis, the other axes at their first.
+    """Read a study file and check every point of every axis, with the other axes at their first.
 
-    Runs whose parts do not fit together (:class:`IncompatibleError`: an objective that needs what a
-    formulation lacks) are accepted: they become failed rows of the table.
+    Incompatible parts (:class:`IncompatibleError`), such as an objective that needs quantities a
+    formulation lacks, are accepted; those runs become failed rows of the table.
 
     Raises
     ------
     ScenarioError
-        The file breaks its schema, or sets a key that the scenario refuses; the message names
+        The file violates its schema, or sets a key that the scenario rejects; the message gives
         file, line and column.
     """
     document = read_document(path)
     if not isinstance(document.content, dict):
         raise document.error((), "a study is a mapping with the keys 'scenario' and 'vary'")
     if "network" in document.content:
-        raise document.error(("network",), "this is a scenario; 'opfmodel run' runs it")
+        raise document.error(("network",), "this file is a scenario; run it with 'opfmodel run'")
     file = validated(document, document.content, _File)
     for key in ("scenario", "variant"):
         if key in file.set:
-            raise document.error(("set", key), "is a key of the study itself; write it outside 'set'")
+            raise document.error(("set", key), "is a key of the study; move it out of 'set'")
     base = {"scenario": file.scenario, "variant": file.variant, **file.set}
     axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
     for one, other in itertools.combinations(axes, 2):
         for key in sorted(_common(one, other)):
-            raise document.error(("vary", other.name), f"{key!r} is varied by {one.name!r} already")
+            raise document.error(("vary", other.name), f"{key!r} is already varied by {one.name!r}")
     if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
     runs = math.prod(len(axis.labels) for axis in axes)
     if runs > _MOST_RUNS:
-        raise document.error(("vary",), f"makes {runs:,} runs; a study has at most {_MOST_RUNS:,}")
+        raise document.error(("vary",), f"the grid has {runs:,} runs; at most {_MOST_RUNS:,} are accepted")
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
     study = Study(name, document.path, base, axes)
@@ -157,7 +156,7 @@ def read_study(path: str | Path) -> Study:
 
 
 def _axis(document: Document, name: str, content: Any) -> Axis:
-    """An axis from a list of values of one key, or from named bundles of keys."""
+    """Build an axis from a list of values of one key, or from named bundles of keys."""
     key: Key = ("vary", name)
     labels: tuple[Any, ...]
     changes: tuple[Changes, ...]
@@ -168,7 +167,7 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         labels = places = tuple(content)
         changes = tuple(content.values())
     else:
-        raise document.error(key, "must be a list of values, or a mapping from names to keys and values")
+        raise document.error(key, "must be a list of values, or a mapping from names to bundles of keys")
     if not labels:
         raise document.error(key, "needs at least one value")
     check_printable(document, key, name)
@@ -178,19 +177,19 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         if not isinstance(bundle, dict):
             raise document.error(positions[number], "must be a mapping from dotted keys to values")
         if (type(label), label) in [(type(other), other) for other in labels[:number]]:
-            raise document.error(positions[number], f"{label!r} is there twice")
+            raise document.error(positions[number], f"{label!r} is listed twice")
     return Axis(name, labels, changes, positions)
 
 
 def _label(value: Any) -> Any:
-    """A number, text or None as it is; a mapping or list as JSON; anything else, such as a date, as text."""
+    """Return numbers, text and None unchanged; mappings and lists as JSON; others, such as dates, as text."""
     if isinstance(value, Mapping | list):
         return json.dumps(value, default=str)
     return value if isinstance(value, str | int | float | None) else str(value)
 
 
 def _common(one: Axis, other: Axis) -> set[str]:
-    """Keys that both axes set, or that one sets within a mapping or value that the other sets."""
+    """Return the keys that both axes set, or that one sets within a value that the other sets."""
     ends = [
         {
             end
@@ -206,7 +205,7 @@ def _common(one: Axis, other: Axis) -> set[str]:
 
 
 def _ends(path: Sequence[str], value: Any) -> Iterator[tuple[str, ...]]:
-    """The paths of keys to what a value sets: itself, or what stands in its mappings."""
+    """Yield the paths of all keys that a value sets, descending into mappings."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _ends([*path, key], inner)
@@ -215,7 +214,7 @@ def _ends(path: Sequence[str], value: Any) -> Iterator[tuple[str, ...]]:
 
 
 def _check(document: Document, study: Study) -> None:
-    """Try every point of every axis, and blame the line of the study that an error came in with."""
+    """Check every point of every axis; an error is located at the line of the study that caused it."""
     origin = (0,) * len(study.axes)
     error = _refusal(study.variation(origin))
     if error is not None:
@@ -228,7 +227,7 @@ def _check(document: Document, study: Study) -> None:
 
 
 def _culprit(study: Study) -> Key:
-    """What the first run is refused for: the scenario, ``set``, or the first point of an axis."""
+    """Return what makes the first run invalid: the scenario, ``set``, or the first point of an axis."""
     bare = {key: study.base[key] for key in ("scenario", "variant")}
     if study.base["scenario"] is not None:
         if _refusal(replace(study, base=bare).variation(())) is not None:
@@ -246,7 +245,7 @@ def _culprit(study: Study) -> Key:
 
 
 def _refusal(variation: Variation) -> ScenarioError | None:
-    """Why a scenario refuses a variation, if it does."""
+    """Return the error with which a scenario rejects a variation, if any."""
     try:
         load_scenario(variation.scenario, variation.variant, variation.overrides)
     except ScenarioError as error:

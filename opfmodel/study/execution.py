@@ -22,23 +22,23 @@ from solvers import SolverError
 
 __all__ = ["Record", "execute", "failure"]
 
-_ONE_AT_A_TIME = threading.Lock()  # CasADi must not be used from two threads at once
+_ONE_AT_A_TIME = threading.Lock()  # CasADi is not thread-safe
 
 
 @dataclass(frozen=True)
 class Record:
-    """What came out of one run.
+    """The record of one run.
 
     Attributes
     ----------
     key
-        Key of its specification.
+        Key of the specification.
     result
         Flat figures, determined by the key: ``status``, ``termination``, ``error``, ``cost``, ...
     times
-        Seconds, by names that begin with ``time_``.
+        Durations in seconds; names begin with ``time_``.
     provenance
-        Where and when it was made, by names that begin with ``provenance_``.
+        Where, when and with what the run was made; names begin with ``provenance_``.
     """
 
     key: str
@@ -48,28 +48,28 @@ class Record:
 
     @property
     def failed(self) -> bool:
-        """Whether the closed loop did not reach its end."""
+        """Whether the closed loop did not complete."""
         return bool(self.result["status"] != "done")
 
 
 def execute(specification: Specification) -> Record:
-    """Run the closed loop of a specification, on a copy of its files.
+    """Run the closed loop of a specification on a copy of its files.
 
     Returns
     -------
     Record
-        Also of a run that fails, whatever it fails of; the result then has an ``error``.
+        If the run fails for any reason, its ``result`` has an ``error``.
 
     Raises
     ------
     KeyboardInterrupt
-        The user pressed Ctrl-C; there is no record of half a run.
+        The user pressed Ctrl-C; an unfinished run leaves no record.
     """
     began = time.perf_counter()
     with _ONE_AT_A_TIME:
         try:
             figures = _figures(specification)
-        except (Exception, SystemExit) as error:  # a plugin may raise anything, and the study goes on
+        except (Exception, SystemExit) as error:  # plugins may raise anything; the study continues
             return failure(specification, error, time.perf_counter() - began)
     times = {f"time_{name}": value for name, value in figures.items() if "seconds" in name}
     result = {name: value for name, value in figures.items() if "seconds" not in name}
@@ -82,10 +82,10 @@ def execute(specification: Specification) -> Record:
 
 
 def failure(specification: Specification, error: BaseException, seconds: float | None = None) -> Record:
-    """The record of a run that ended with an exception."""
+    """Return the record of a run that ended with an exception."""
     owned = isinstance(error, OpfmodelError | SolverError)
     message = str(error) if owned else f"{type(error).__name__}: {error}"
-    message = message.encode("utf-8", "backslashreplace").decode()  # file names can be any bytes
+    message = message.encode("utf-8", "backslashreplace").decode()  # file names may contain any bytes
     detail = {} if owned else {"provenance_traceback": "".join(traceback.format_exception(error))}
     return Record(
         specification.key,
@@ -102,13 +102,13 @@ def _figures(specification: Specification) -> dict[str, Any]:
     _same_versions(specification)
     inputs = specification.inputs
     with inputs.unpacked() as (copy, path), warnings.catch_warnings():
-        for said in (CaseWarning, ProfileWarning):  # when the study was read
-            warnings.simplefilter("ignore", said)
+        for category in (CaseWarning, ProfileWarning):  # already reported when the study was read
+            warnings.simplefilter("ignore", category)
         try:
             scenario = load_scenario(path, specification.variant, specification.overrides)
             run = scenario.simulate()
         except OpfmodelError as error:
-            # the user knows the original, and a result must not depend on where the copy was
+            # name the original files: the result must not depend on the location of the copy
             raise OpfmodelError(str(error).replace(str(copy), str(inputs.root))) from error
     if run.interrupted:
         raise KeyboardInterrupt
@@ -124,18 +124,18 @@ def _figures(specification: Specification) -> dict[str, Any]:
 
 
 def _same_versions(specification: Specification) -> None:
-    """Refuse to work under a key that names other versions than those installed here."""
+    """Raise an error if the installed versions differ from those in the key."""
     here = versions()
     for package, wanted in specification.versions.items():
         if here.get(package) != wanted:
             found = here.get(package, "none")
             raise StudyError(
-                f"the worker on {machine()['host']} has {package} {found}; the study has {wanted}"
+                f"the worker on {machine()['host']} has {package} {found}; the study requires {wanted}"
             )
 
 
 def _flat(figures: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Mappings of numbers as dotted names, NumPy's numbers as Python's, everything else nested as JSON."""
+    """Flatten mappings to dotted names, NumPy values to Python values, and other nested data to JSON."""
     flat: dict[str, Any] = {}
     for name, value in figures.items():
         plain = value.tolist() if isinstance(value, np.generic | np.ndarray) else value

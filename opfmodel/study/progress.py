@@ -1,4 +1,4 @@
-"""What a study shows while it runs: a line per worker, what is done, and the time left."""
+"""Progress display of a study: a line per worker, the number of finished runs, and the time left."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ __all__ = ["Watcher", "described", "live"]
 
 
 class Watcher:
-    """Is told what goes on; this one shows nothing."""
+    """Observer of a running study; this base class shows nothing."""
 
     def running(self, work: Mapping[str, Specification]) -> None:
-        """Runs in work, by the name of the worker."""
+        """Report the active runs, by name of the worker."""
 
     def finished(self) -> None:
-        """One more run has a record."""
+        """Report that one more run has a record."""
 
 
 def described(labels: Mapping[str, Any]) -> str:
-    """The point on each axis in one line."""
+    """Return the point on each axis in one line."""
     return " ".join(f"{name}={value}" for name, value in labels.items()) or "the scenario as it is"
 
 
 @contextmanager
 def live(name: str, runs: int) -> Iterator[Watcher]:
-    """A watcher that redraws its lines on standard error until it is left."""
+    """Display progress on standard error while the context is active."""
     from rich.console import Console, Group
     from rich.live import Live
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
     from rich.text import Text
 
-    period = 3600.0  # runs can be slow: judge the speed by many of them
+    period = 3600.0  # runs can be slow: average the speed over many
     bar = Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -71,7 +71,7 @@ class _Live(Watcher):
         self._advance()
 
     def lines(self) -> Sequence[str]:
-        """A line per worker: what it runs and for how long."""
+        """Return a line per worker with its run and the elapsed time."""
         now = time.monotonic()
         return [
             visible(

@@ -1,4 +1,4 @@
-"""What a result was made with: versions, machine, state of the repository."""
+"""Provenance of results: versions, machine, and state of the repository."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from opfmodel import plugins
 
 __all__ = ["machine", "revision", "versions"]
 
-# What computes numbers; a new version of any of them makes a new result.
+# Packages that affect results; a new version of any of them changes the key of a run.
 _PACKAGES = (
     "opfmodel",
     "casadi",
@@ -33,7 +33,7 @@ _PACKAGES = (
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of the installed packages that a result depends on, those of plugins included."""
+    """Return the versions of installed packages that affect results, including those of plugins."""
     origins = {plugin.origin for sort in plugins.GROUPS for plugin in plugins.plugins(sort).values()}
     found = {}
     for package in sorted({*_PACKAGES, *origins}):
@@ -46,7 +46,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def machine() -> dict[str, Any]:
-    """The machine of this process."""
+    """Describe the machine on which this process runs."""
     return {
         "host": platform.node(),
         "system": platform.platform(),
@@ -57,16 +57,16 @@ def machine() -> dict[str, Any]:
 
 
 def revision(folder: Path) -> str | None:
-    """Git revision of a folder, with ``+`` if files there were changed; None outside a repository.
+    """Return the git revision of a folder, with ``+`` if files were changed; None outside a repository.
 
-    Git is told not to run the program that a repository may name to watch its files, nor to lock the
-    repository, in which its owner may be at work.
+    Git does not run the file-system monitor that a repository may configure, and does not lock the
+    repository, in which its owner may be working.
     """
     try:
         commit = _git(folder, "rev-parse", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
-        return None  # no git, no repository, or no commit in it
+        return None  # no git, no repository, or no commit
     return commit + ("+" if changed else "")
 
 

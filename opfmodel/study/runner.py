@@ -1,4 +1,4 @@
-"""Running a study: what is there is skipped, what is missing is made and written down."""
+"""Run a study: skip runs that have a record, execute and record the others."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ __all__ = ["Outcome", "run_study"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a start of a study came to.
+    """Outcome of one start of a study.
 
     Attributes
     ----------
     total
-        Runs of the study; the sum of ``done``, ``failed``, ``skipped`` and those still ``waiting``.
+        Number of runs: the sum of ``done``, ``failed``, ``skipped`` and ``waiting``.
     done
-        Made by this start.
+        Runs completed by this start.
     failed
-        Failed, in this start or in an earlier one and not repeated.
+        Runs that failed in this start, or in an earlier one without being repeated.
     skipped
-        Done by an earlier start.
+        Runs completed by an earlier start.
     interrupted
-        Whether Ctrl-C ended it.
+        Whether Ctrl-C ended the study.
     failures
-        What each failed run failed of, by its labels.
+        Error of each failed run, by its labels.
     notes
-        What its user should know.
+        Notes for the user.
     """
 
     total: int
@@ -80,38 +80,40 @@ def run_study(
     retry: Literal["failed", "all"] | None = None,
     progress: bool = False,
 ) -> Outcome:
-    """Make the runs of a study that its folder does not have yet.
+    """Execute the runs of a study that have no record in its folder yet.
 
-    All files are read once at the start, so that a file edited meanwhile changes nothing until the
-    next start. Ctrl-C ends the study; finished runs are kept.
+    All files are read once, at the start; later edits take effect at the next start. Ctrl-C ends
+    the study; finished runs are kept.
 
     Parameters
     ----------
     folder
-        Where records and table are; it is made if need be.
+        Folder of records and table; created if necessary.
     workers
-        Processes of this machine, each with one thread; 0 runs everything in this process. By
-        default as many as there are processors for this process.
+        Number of processes on this machine, each with one thread; 0 runs everything in this
+        process. The default is the number of processors available to this process.
     scheduler
         Address of a running Dask scheduler, whose workers are used instead.
     memory
-        What each local worker may use, such as ``"2 GiB"``.
+        Memory limit of each local worker, such as ``"2 GiB"``.
     retry
-        Repeat what ``failed``, or ``all``.
+        Which recorded runs to repeat: ``failed`` or ``all``.
     progress
         Whether to show a line per worker and the time left on standard error.
 
     Raises
     ------
     StudyError
-        The folder is in use, the scheduler does not answer, or an option is not what it must be.
+        The folder is in use, the scheduler does not answer, or an option is invalid.
     ResultError
-        The folder cannot be written; what is in it is kept.
+        The folder cannot be written; its contents are kept.
     """
     if scheduler is not None and (workers is not None or memory is not None):
-        raise StudyError("workers and memory are for this machine; a running scheduler has its own")
+        raise StudyError(
+            "workers and memory cannot be combined with scheduler, whose workers are used instead"
+        )
     if workers is not None and workers < 0:
-        raise StudyError(f"workers = {workers}: must be 0 (no processes besides this one) or more")
+        raise StudyError(f"workers = {workers}: must be at least 0; 0 runs everything in this process")
     check_crew(scheduler, memory)
     began = time.perf_counter()
     store = Store(Path(folder))
@@ -129,7 +131,7 @@ def run_study(
         with shown as watcher, closing(_crew(missing, watcher, workers, scheduler, memory)) as records:
             try:
                 for record in records:
-                    made.add(record.key)  # first: Ctrl-C may come between the two
+                    made.add(record.key)  # first, since Ctrl-C may arrive between the two
                     store.write(record)
                     watcher.finished()
             except KeyboardInterrupt:
@@ -139,23 +141,23 @@ def run_study(
                 raise
         store.write_table()
         notes += [
-            f"{path} changed after the study had read it; the table is of what was read, "
-            "and the same command brings it up to date"
+            f"{path} changed after the study had read it; the table is based on the earlier content, "
+            "and the same command updates it"
             for path in snapshot.changed()
         ]
         return _outcome(store, runs, made, notes, interrupted, time.perf_counter() - began)
 
 
 def _notes(index_fault: str | None, faults: list[str]) -> list[str]:
-    """What to tell of files in the folder that are not what had been written."""
-    notes = [] if index_fault is None else [f"{index_fault}; it was written anew"]
+    """Return notes on files in the folder that cannot be trusted."""
+    notes = [] if index_fault is None else [f"{index_fault}; it was rewritten"]
     return [*notes, f"{untrusted(faults)}; their runs are repeated"] if faults else notes
 
 
 def _missing(
     runs: list[Specification], records: Mapping[str, Record], retry: str | None
 ) -> list[Specification]:
-    """The runs to make, each key once."""
+    """Return the runs to execute, each key once."""
     missing = []
     for key, run in {run.key: run for run in runs}.items():
         record = records.get(key)
@@ -180,7 +182,7 @@ def _crew(
 
 
 def _processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -217,7 +219,7 @@ def _outcome(
     return Outcome(
         total=len(runs),
         done=done,
-        failed=failed,  # not the number of names: 1 and "1" are two labels and one name
+        failed=failed,  # not len(failures): the labels 1 and "1" have the same description
         skipped=len(fine) - done,
         interrupted=interrupted,
         seconds=seconds,

@@ -1,4 +1,4 @@
-"""JSON files that show whether they are what was written, by a schema version and a checksum."""
+"""JSON files with a schema version and a checksum, to detect damage."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from opfmodel.errors import ResultError
 
 __all__ = ["sealed", "unsealed"]
 
-_SCHEMA = 1  # of what a study writes; raise it when older files must not be read
+_SCHEMA = 1  # of the files of a study; increase it to reject older files
 
 
 def sealed(content: Mapping[str, Any]) -> str:
-    """The text of a file: the content, ``schema`` and ``checksum``.
+    """Return the text of a file: the content, ``schema`` and ``checksum``.
 
     The checksum is the SHA-256 of everything else as JSON with sorted keys and without spaces.
     """
@@ -26,13 +26,13 @@ def sealed(content: Mapping[str, Any]) -> str:
 
 
 def unsealed(path: Path) -> dict[str, Any]:
-    """The content of such a file.
+    """Return the content of such a file.
 
     Raises
     ------
     ResultError
-        The file cannot be read, is no JSON object, has another schema version, or is not what its
-        checksum was made of.
+        The file cannot be read, is not a JSON object, has another schema version, or does not match
+        its checksum.
     """
     try:
         content = json.loads(read_text(path, ResultError))
@@ -41,7 +41,7 @@ def unsealed(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("schema") != _SCHEMA:
         raise ResultError(f"{path}: not of schema version {_SCHEMA}")
     if content.pop("checksum", None) != _checksum(content):
-        raise ResultError(f"{path}: the checksum is not that of its content")
+        raise ResultError(f"{path}: the checksum does not match the content")
     del content["schema"]
     return content
 

@@ -1,4 +1,4 @@
-"""What one run is a function of, and the key that stands for it."""
+"""The inputs that determine the result of a run, and their key."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from opfmodel.study.provenance import versions
 
 __all__ = ["Inputs", "Snapshot", "Specification"]
 
-# Keys of a scenario that no result depends on once the variant is chosen.
+# Keys of a scenario that do not affect results once the variant is selected.
 _WORDS = ("name", "description", "published", "variants")
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The files of a run as they were when they were read.
+    """The files of a run, with their content when they were read.
 
     Attributes
     ----------
     root
-        A folder that all of them are in.
+        Folder that contains all files.
     scenario
         The scenario file, relative to ``root``.
     files
@@ -46,7 +46,7 @@ class Inputs:
 
     @contextmanager
     def unpacked(self) -> Iterator[tuple[Path, Path]]:
-        """A temporary copy of the files: its root, and the scenario file in it."""
+        """Write a temporary copy of the files; yield its root and its scenario file."""
         with TemporaryDirectory(prefix="opfmodel-") as folder:
             copy = Path(folder)
             for name, content in self.files.items():
@@ -56,7 +56,7 @@ class Inputs:
 
     @property
     def data(self) -> dict[str, str]:
-        """Digest of every file but the scenario, by its name relative to the scenario's folder."""
+        """Digest of every file except the scenario, by name relative to the scenario's folder."""
         folder = os.path.dirname(self.scenario)  # noqa: PTH120 - a name inside root, not a path
         return {
             os.path.relpath(name, folder or "."): hashlib.sha256(content).hexdigest()
@@ -67,18 +67,18 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Specification:
-    """One run: all that its result depends on, and nothing else.
+    """One run: everything that its result depends on, and nothing else.
 
     Attributes
     ----------
     labels
-        The point on each axis; names the run, and has no part in the key.
+        The point on each axis; names the run, but is not part of the key.
     variant, overrides
-        What is laid over the scenario.
+        Variant and overrides of the scenario.
     content
-        The keys of the scenario with variant and overrides laid over them.
+        Keys of the scenario with variant and overrides applied.
     versions
-        Versions of the packages that compute the result.
+        Versions of the packages that affect the result.
     """
 
     labels: Mapping[str, Any]
@@ -90,7 +90,7 @@ class Specification:
 
     @cached_property
     def key(self) -> str:
-        """Digest of content, data files and versions, 32 hexadecimal digits."""
+        """Digest of content, data files and versions: 32 hexadecimal digits."""
         text = json.dumps(
             {"content": self.content, "data": self.inputs.data, "versions": self.versions},
             sort_keys=True,
@@ -100,18 +100,18 @@ class Specification:
 
 
 class Snapshot:
-    """Reads every file of a study once, so that all its runs see the same content."""
+    """The files of a study, each read once; all runs see the same content."""
 
     def __init__(self) -> None:
         self._documents: dict[Path, Document] = {}
         self._files: dict[Path, bytes] = {}
 
     def specifications(self, study: Study) -> list[Specification]:
-        """The runs of a study, in the order of its grid."""
+        """Return the runs of a study in the order of its grid."""
         return [self._specification(variation) for variation in study.variations()]
 
     def changed(self) -> list[Path]:
-        """The files that are not any more what they were when they were read."""
+        """Return the files that have changed since they were read."""
         return [path for path, content in self._files.items() if not _holds(path, content)]
 
     def _specification(self, variation: Variation) -> Specification:
@@ -120,11 +120,11 @@ class Snapshot:
             before = self._file(path)
             self._documents[path] = read_document(path)
             if not _holds(path, before):
-                raise ScenarioError(f"{path}: changed while it was read; start again")
+                raise ScenarioError(f"{path}: changed while it was being read; start again")
         document = self._documents[path]
         try:
             content = laid_over(document, variation.variant, variation.overrides)
-        except ScenarioError:  # refused as a combination: the run will fail of it
+        except ScenarioError:  # rejected as a combination: the run will fail with this error
             content = {"refused": {"scenario": document.content, "variant": variation.variant}}
         content = {k: v for k, v in content.items() if k not in _WORDS}
         return Specification(
@@ -137,7 +137,7 @@ class Snapshot:
         )
 
     def _inputs(self, document: Document, content: Mapping[str, Any]) -> Inputs:
-        """The scenario file and every file that a text in the content names."""
+        """Return the scenario file and every file named by a text in its content."""
         folder = document.path.parent
         paths = [document.path]
         for key, text in _texts(content):
@@ -145,7 +145,7 @@ class Snapshot:
             found = [named] if os.path.isfile(named) else _tables(named)  # noqa: PTH113 - any text
             if found and Path(text).is_absolute():
                 raise document.error(
-                    key, f"{text!r}: a study copies its files: name them relative to the scenario's folder"
+                    key, f"{text!r}: must be relative to the scenario's folder; studies copy their files"
                 )
             paths += found
         absolute = {os.path.abspath(path): path for path in paths}  # noqa: PTH100 - keep symbolic links
@@ -160,7 +160,7 @@ class Snapshot:
 
 
 def _texts(content: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """All texts in nested mappings and lists, with their path of keys."""
+    """Yield all texts in nested mappings and lists, with their path of keys."""
     if isinstance(content, str):
         yield key, content
     elif isinstance(content, Mapping):
@@ -172,7 +172,7 @@ def _texts(content: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tupl
 
 
 def _tables(folder: Path) -> list[Path]:
-    """The tables of a network that is a folder of them."""
+    """Return the tables of a network that is a folder of CSV files."""
     return sorted(folder.glob("*.csv")) if os.path.isdir(folder) else []  # noqa: PTH112 - any text
 
 

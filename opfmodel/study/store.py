@@ -1,15 +1,15 @@
 """The folder of a study: one record per run, one table, one lock.
 
 =====================  =========================================================================
-``study.json``         the runs of the study as last started, by key, with their labels
+``study.json``         the runs of the study as last started: keys and labels
 ``runs/KEY.json``      the record of one run
 ``results.parquet``    the table: a row per run
-``lock``               held by the process that writes here, and by the system's doing only while it lives
+``lock``               held by the writing process; the operating system releases it
 =====================  =========================================================================
 
-Only the process that holds the lock writes. Every file is written whole under a temporary name and
-renamed, so that a reader needs no lock. The JSON files have a checksum, and a record the key of its
-name; what has not is not trusted, and the run counts as not made.
+Only the process that holds the lock writes. Every file is written completely under a temporary name
+and then renamed; readers need no lock. JSON files have a checksum, and a record contains the key in
+its file name. A file that fails either test is not trusted; the run of such a record counts as missing.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _RECORDS = re.compile(r"[0-9a-f]{32}\.json")
 
 _MOST_NAMED = 10
 
-# The first columns after those that vary, there even while no run has finished.
+# First columns after the axes; present even before any run has finished.
 _COLUMNS = ("key", "status", "termination", "error", "cost", "steps", "max_violation", "iterations")
 
 
 @dataclass(frozen=True)
 class Store:
-    """Reads and writes the folder of a study."""
+    """Access to the folder of a study."""
 
     folder: Path
 
@@ -59,22 +59,22 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for this process alone.
+        """Lock the folder for this process.
 
-        The lock is the operating system's: it ends with the process, however that dies.
+        The operating system releases the lock when the process ends, however it ends.
 
         Raises
         ------
         StudyError
-            Another process holds it.
+            Another process holds the lock.
         ResultError
-            The folder cannot be made or written, or its ``runs`` is a symbolic link.
+            The folder cannot be created or written, or its ``runs`` is a symbolic link.
         """
         from filelock import FileLock, Timeout
 
         with self._writing(self.folder):
             if self._runs.is_symlink():
-                raise ResultError(f"{self._runs}: is a symbolic link; the records need a folder of their own")
+                raise ResultError(f"{self._runs}: is a symbolic link; must be a folder")
             self._runs.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / "lock", timeout=0)
             try:
@@ -82,7 +82,7 @@ class Store:
             except Timeout:
                 raise StudyError(
                     f"{self.folder}: a study is running in this folder{self._owner()}; "
-                    "wait until it has ended, or choose another folder"
+                    "wait until it ends, or choose another folder"
                 ) from None
         try:
             with self._writing(self.folder):
@@ -93,12 +93,12 @@ class Store:
             lock.release()
 
     def begin(self, specifications: Sequence[Specification], about: Mapping[str, Any]) -> None:
-        """Write down which runs there are and who makes them."""
+        """Write the list of runs, with the details of this start."""
         rows = [{"key": s.key, "labels": s.labels} for s in specifications]
         self._write(self._index, {**about, "runs": rows})
 
     def write(self, record: Record) -> None:
-        """Keep the record of a run.
+        """Write the record of a run.
 
         Raises
         ------
@@ -108,26 +108,26 @@ class Store:
         self._write(self._record(record.key), asdict(record))
 
     def read(self, key: str) -> Record | None:
-        """The record of a run, None if it has not been made.
+        """Return the record of a run, or None if there is none.
 
         Raises
         ------
         ResultError
-            What is there is not what was written for this key.
+            The file is not the record that was written for this key.
         """
         path = self._record(key)
         if not os.path.lexists(path):
             return None
         content = unsealed(path)
         if content.get("key") != key:
-            raise ResultError(f"{path}: the key inside is not that of its name")
+            raise ResultError(f"{path}: the key inside does not match the file name")
         try:
             return Record(**content)
         except TypeError as error:
             raise ResultError(f"{path}: not the record of a run: {error}") from error
 
     def records(self, keys: Iterable[str]) -> tuple[dict[str, Record], list[str]]:
-        """The records of runs by key, and why others that are there cannot be trusted."""
+        """Return the trusted records by key, and why others cannot be trusted."""
         found, faults = {}, []
         for key in dict.fromkeys(keys):
             try:
@@ -140,12 +140,12 @@ class Store:
         return found, faults
 
     def runs(self) -> list[tuple[Mapping[str, Any], str]]:
-        """Labels and key of every run of the study as last started.
+        """Return labels and key of every run of the study as last started.
 
         Raises
         ------
         ResultError
-            The folder holds no study, or what is there is not what was written.
+            The folder holds no study, or its list of runs cannot be trusted.
         """
         if not os.path.lexists(self._index):
             raise ResultError(f"{self._index}: there is no such file; 'opfmodel study run' writes it")
@@ -156,7 +156,7 @@ class Store:
             raise ResultError(f"{self._index}: not a study of opfmodel: {error}") from error
 
     def index_fault(self) -> str | None:
-        """Why the list of runs cannot be trusted, if there is one that cannot."""
+        """Return why the list of runs cannot be trusted; None if it can, or does not exist."""
         if os.path.lexists(self._index):
             try:
                 self.runs()
@@ -165,9 +165,9 @@ class Store:
         return None
 
     def rows(self) -> tuple[list[Row], list[str]]:
-        """A row per run of the study as last started, and why records cannot be trusted.
+        """Return a row per run of the study as last started, and why records cannot be trusted.
 
-        Runs without a record that can be trusted have the status ``waiting``.
+        Runs without a trusted record have the status ``waiting``.
 
         Raises
         ------
@@ -219,30 +219,30 @@ class Store:
             kept = len(list(self._runs.glob("*.json"))) if os.path.isdir(self._runs) else 0  # noqa: PTH112 - any text
             raise ResultError(
                 f"{path}: results cannot be written: {error.strerror or error}; "
-                f"the {kept} finished runs in {self.folder} are kept, and the same command goes on from there"
+                f"the {kept} finished runs in {self.folder} are kept, and the same command resumes the study"
                 if kept
                 else f"{path}: results cannot be written: {error.strerror or error}"
             ) from error
 
     def _owner(self) -> str:
-        """Who said last that he works here."""
+        """Describe the process that started last, for messages."""
         try:
             about = unsealed(self._index)
             return f" (process {about['process']} on {about['machine']['host']}, since {about['started']})"
         except (ResultError, KeyError, TypeError):
-            return ""  # it has not come so far as to say so
+            return ""  # its list of runs is missing or damaged
 
 
 def read_table(folder: str | Path) -> list[Row]:
-    """The rows of a study's table, finished or not, from the records in its folder.
+    """Return the rows of a study's table, finished or not, from the records in its folder.
 
     A :class:`ResultWarning` names the records that cannot be trusted; their runs are ``waiting``.
 
     Returns
     -------
     list of dict
-        Columns in order: what varies, ``key``, figures that the key determines, ``time_...``,
-        ``provenance_...``. A varied key that has the name of a figure is called ``vary.KEY``.
+        Columns in order: the axes, ``key``, figures determined by the key, ``time_...``,
+        ``provenance_...``. An axis that shares its name with a figure is called ``vary.NAME``.
 
     Raises
     ------
@@ -256,14 +256,14 @@ def read_table(folder: str | Path) -> list[Row]:
 
 
 def untrusted(faults: Sequence[str]) -> str:
-    """How many records cannot be trusted, and the first of them with what is wrong."""
+    """Describe how many records cannot be trusted, and what is wrong with the first of them."""
     more = len(faults) - _MOST_NAMED
     named = "; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
     return f"{len(faults)} record{'s' * (len(faults) > 1)} cannot be trusted ({named})"
 
 
 def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> list[str]:
-    """The wanted columns; by default what varies and the figures, where any run has one.
+    """Return the requested columns; by default the axes and the figures that any run has.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
 
 
 def _figures(key: str, record: Record | None) -> Row:
-    """What a row has besides the labels of its run."""
+    """Return the values of a row, except the labels of its run."""
     figures = dict.fromkeys(_COLUMNS) | {"key": key, "status": "waiting"}
     return figures if record is None else {**figures, **record.result, **record.times, **record.provenance}
 
@@ -299,7 +299,7 @@ def _table(rows: Sequence[Row]) -> pa.Table:
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """Values of one type as they are; of several types, such as 12 and "all", or beyond 64 bits, as JSON."""
+    """Convert values of one type to a column; mixed types and integers beyond 64 bits become JSON."""
     import pyarrow as pa
 
     kinds = {float if type(value) is int else type(value) for value in values if value is not None}

@@ -1,7 +1,7 @@
-"""Who makes the runs: this process, the workers of a local cluster, or those of a running one.
+"""Execute runs in this process, on a local cluster, or on a running one.
 
-Each is an iterator of records in the order in which runs finish. It owns no file: what it yields is
-written by the process that holds the study's folder.
+Each function yields records in the order in which runs finish. It writes no files; the process that
+holds the study's folder does.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ __all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster"]
 
 _ADDRESS = re.compile(r"(\w+://)?([^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]):[0-9]{1,5}(/\S*)?")
 _PATIENCE = 30.0  # seconds to wait for a scheduler, and for a first worker
-_SECONDS_IDLE = 120.0  # without a run in work, after which workers are taken to die as they start
-_GLANCE = 0.5  # seconds between two looks at what the workers do
-_LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone take more
+_SECONDS_IDLE = 120.0  # without an active run, after which workers are assumed to die as they start
+_GLANCE = 0.5  # seconds between polls of the workers
+_LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone need more
 
 
 def check_crew(scheduler: str | None, memory: str | None) -> None:
-    """Raise :class:`StudyError` for options that no crew could be had with, also where none is needed."""
+    """Raise :class:`StudyError` for invalid options of workers, even if no run is missing."""
     if memory is not None:
         from dask.utils import parse_bytes
 
@@ -50,7 +50,7 @@ def check_crew(scheduler: str | None, memory: str | None) -> None:
 
 
 def in_this_process(specifications: Sequence[Specification], watcher: Watcher) -> Generator[Record]:
-    """Make the runs one after another."""
+    """Execute the runs one after another."""
     for specification in specifications:
         watcher.running({"this process": specification})
         yield execute(specification)
@@ -59,19 +59,19 @@ def in_this_process(specifications: Sequence[Specification], watcher: Watcher) -
 def on_local_cluster(
     specifications: Sequence[Specification], watcher: Watcher, workers: int, memory: str | None
 ) -> Generator[Record]:
-    """Make the runs on worker processes of this machine, each with one thread.
+    """Execute the runs in worker processes on this machine, each with one thread.
 
     Parameters
     ----------
     workers
         Number of processes.
     memory
-        What each may use, such as ``"2 GiB"``; by default an equal share of the machine's.
+        Memory limit of each worker, such as ``"2 GiB"``; by default an equal share of the machine.
 
     Raises
     ------
     StudyError
-        The workers do not start, or die before they take up a run.
+        The workers do not start, or die before they start a run.
     """
     from distributed import Client
 
@@ -84,12 +84,14 @@ def on_local_cluster(
 def on_cluster(
     specifications: Sequence[Specification], watcher: Watcher, scheduler: str
 ) -> Generator[Record]:
-    """Make the runs on the workers of a running Dask scheduler, which need opfmodel and share no files.
+    """Execute the runs on the workers of a running Dask scheduler.
+
+    The workers need opfmodel, but no shared files.
 
     Raises
     ------
     StudyError
-        The scheduler does not answer, has no worker, or goes away.
+        The scheduler does not answer, has no workers, or disappears.
     """
     from distributed import Client
 
@@ -101,14 +103,14 @@ def on_cluster(
             ValueError,
             TypeError,
             RuntimeError,
-        ) as error:  # the last two: TLS without keys, or none
+        ) as error:  # TypeError: TLS without keys; RuntimeError: TLS required, but not used
             raise StudyError(f"no scheduler answers at {scheduler!r}: {error}") from error
         with client:
             try:
                 client.wait_for_workers(1, timeout=_PATIENCE)
             except TimeoutError:
                 raise StudyError(
-                    f"the scheduler at {scheduler} has no worker; start some with 'dask worker {scheduler}'"
+                    f"the scheduler at {scheduler} has no workers; start some with 'dask worker {scheduler}'"
                 ) from None
             yield from _runs(client, specifications, watcher)
 
@@ -119,12 +121,12 @@ def _runs(
     watcher: Watcher,
     patience: float = math.inf,
 ) -> Generator[Record]:
-    """Keep every worker busy with one run, and yield the records as they come.
+    """Keep every worker busy with one run, and yield records as runs finish.
 
     Parameters
     ----------
     patience
-        Seconds without a run in work after which to give up; workers of a cluster come and go.
+        Seconds without an active run before giving up; workers of a running cluster may come and go.
     """
     from distributed import wait
 
@@ -134,7 +136,7 @@ def _runs(
     seen = time.monotonic()
     try:
         while waiting or running:
-            # one run per worker: a worker that dies takes one run with it and throws suspicion on no other
+            # one run per worker: the death of a worker affects no other run
             for _ in range(min(len(waiting), max(len(_workers(client)) - len(running), 0))):
                 specification = waiting.popleft()
                 name = f"opfmodel-{specification.key}-{uuid4().hex[:8]}"
@@ -145,8 +147,8 @@ def _runs(
                 seen = time.monotonic()
             elif time.monotonic() - seen > patience:
                 raise StudyError(
-                    f"no worker has taken up a run for {patience:g} s: they die as they start, most likely "
-                    "for want of memory; give each more (--memory) or have fewer of them (--workers)"
+                    f"no worker has started a run for {patience:g} s, most likely for lack of memory; "
+                    "increase --memory or decrease --workers"
                 )
             if not running:
                 time.sleep(_GLANCE)
@@ -158,9 +160,10 @@ def _runs(
             for future in done:
                 seen = time.monotonic()
                 yield _record(future, running.pop(future))
-    except (CancelledError, OSError) as error:  # the connection broke
+    except (CancelledError, OSError) as error:  # the connection was lost
         raise StudyError(
-            f"the scheduler at {address} is gone; finished runs are kept: start again to go on"
+            f"lost the connection to the scheduler at {address}; finished runs are kept, "
+            "and the same command resumes the study"
         ) from error
     finally:
         if client.status == "running":
@@ -168,12 +171,12 @@ def _runs(
 
 
 def _workers(client: Client) -> dict[str, int]:
-    """Threads of each worker by address; workers come and go."""
+    """Return the number of threads of each worker, by address; workers come and go."""
     return dict(client.nthreads())
 
 
 def _work(client: Client, running: dict[Future, Specification]) -> dict[str, Specification]:
-    """What each worker does, by its address."""
+    """Return the run on each worker, by address."""
     by_key = {future.key: specification for future, specification in running.items()}
     return {
         address: by_key[key] for address, keys in client.processing().items() for key in keys if key in by_key
@@ -189,15 +192,15 @@ def _record(future: Future, specification: Specification) -> Record:
     error: Any = future.exception()
     if isinstance(error, KilledWorker):
         error = StudyError(
-            f"{error.allowed_failures + 1} workers died over this run, most likely for want of memory; "
-            "give each more (--memory) or have fewer of them (--workers)"
+            f"{error.allowed_failures + 1} workers died during this run, most likely for lack of memory; "
+            "increase --memory or decrease --workers"
         )
     return failure(specification, error)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's own talk about connections from standard error."""
+    """Keep Dask's messages about connections off standard error."""
     handlers = logging.getLogger("distributed").handlers
     before = [handler.level for handler in handlers]
     for handler in handlers:

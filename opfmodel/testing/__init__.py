@@ -1,11 +1,10 @@
-"""The contracts of plugins of every kind, from objectives to plants and back ends.
+"""Contract checks for plugins of every kind, from objectives to plants and back ends.
 
     >>> from opfmodel.objectives.economic import Economic
     >>> check_objective(Economic(reactive_weight=1e-3))
 
-In the spirit of scikit-learn's ``check_estimator``: nothing happens, or one
-:class:`ContractError` names the rule that is broken. ``docs/extending.md`` shows plugins that keep
-them.
+Like scikit-learn's ``check_estimator``, a check returns nothing or raises a :class:`ContractError`
+that names the broken rule. ``docs/extending.md`` shows plugins that pass.
 """
 
 from opfmodel.testing.devices import check_device

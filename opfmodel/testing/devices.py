@@ -34,13 +34,15 @@ _VIOLATION = 1e-6  # p.u.
 
 
 def check_device(device: Device, example: Component) -> None:
-    """Raise :class:`ContractError` unless a device keeps its contract.
+    """Raise :class:`ContractError` unless a device satisfies its contract.
 
-    Its component is a frozen dataclass of declared fields; it declares the same quantities under
-    every formulation and feeds power into the balance; with a linear network the program is at most
-    conic and every cost convex; its own cost is finite, one value per stage, convex, and the same in
-    the program and on numbers; one stage, several and none of its components are coped with; a
-    closed loop hands on its states, and results say what it draws from the buses.
+    - Its component is a frozen dataclass of declared fields.
+    - It declares the same quantities under every formulation, and injects power into the balance.
+    - With a linear network, the program is at most conic and every cost is convex.
+    - Its own cost is finite and convex, has one value per stage, and is the same when evaluated
+      numerically and in the program.
+    - It supports one stage, several stages, and networks without its components.
+    - A closed loop passes on its states, and results report its injections.
 
     Parameters
     ----------
@@ -59,17 +61,17 @@ def check_device(device: Device, example: Component) -> None:
         with rules.rule("compiles with a linear network"):
             program = problem.compile()
         structure = classify(program)
-        found = f"{', '.join(structure.culprits)} make a {structure.kind} of a linear network"
-        rules.require(structure.kind <= Kind.CONIC, "is convex", found)
-        with rules.rule("is solved with a linear network"):
+        found = f"{', '.join(structure.culprits)} make it a {structure.kind}"
+        rules.require(structure.kind <= Kind.CONIC, "is convex with a linear network", found)
+        with rules.rule("can be solved with a linear network"):
             plan = problem.solve()
-        rules.require(plan.optimal, "is solved with a linear network", plan.termination)
+        rules.require(plan.optimal, "can be solved with a linear network", plan.termination)
         points = [at_random(plan, rng) for _ in range(4)]
         for point in points:
             value, compiled = point.objective, point.solution.objective
             same = abs(value - compiled) <= 1e-9 * (1.0 + abs(value))
             rules.require(
-                same, "costs the same on numbers and in the program", f"{value:.12g}, {compiled:.12g}"
+                same, "has the same cost numerically and in the program", f"{value:.12g}, {compiled:.12g}"
             )
         for one, other in pairwise(points):
             _check_cost(rules, device, one.stage, other.stage, horizon)
@@ -77,29 +79,29 @@ def check_device(device: Device, example: Component) -> None:
 
 
 def _check_component(rules: Contract, device: Device, example: Component) -> None:
-    """What is declared in a network is well formed."""
+    """The component class and the example are well formed."""
     component = device.component
     ready = isinstance(component, type) and issubclass(component, Component) and is_dataclass(component)
     rules.require(ready, "its component is a dataclass and a Component", repr(component))
     frozen = getattr(component, "__dataclass_params__").frozen  # noqa: B009 - no stub has it
     rules.require(frozen, "its component is frozen", component.__name__)
     named = all(isinstance(getattr(component, name, None), str) for name in ("kind", "plural"))
-    rules.require(named, "its component has the names kind and plural")
+    rules.require(named, "its component has a kind and a plural")
     taken = [
         c for c in BUILT_IN if c is not component and {c.kind, c.plural} & {component.kind, component.plural}
     ]
-    rules.require(not taken, "kind and plural are new names", component.kind)
-    rules.require(type(example) is component, "the example is one of its components", repr(example))
-    with rules.rule("its fields are made by number, span, flag and at_bus"):
+    rules.require(not taken, "its kind and plural are unique", component.kind)
+    rules.require(type(example) is component, "the example is an instance of its component", repr(example))
+    with rules.rule("its fields are declared by number, span, flag and at_bus"):
         strange = [f.name for f in component.fields().values() if f.metadata["unit"] not in UNITS]
         example.check("example")
         rules.require(not strange, "its fields have known units", ", ".join(strange))
-        rules.require(component.bus_fields(), "is at a bus")
-    rules.require("in_service" in component.fields(), "can be out of service (in_service)")
+        rules.require(component.bus_fields(), "its component has a bus")
+    rules.require("in_service" in component.fields(), "its component has the field in_service")
 
 
 def _grid(example: Component) -> Network:
-    """A grid of two buses that serves anything, with the example at one of them."""
+    """Build a two-bus grid with ample supply and the example at one bus."""
     grid = Network("device", base_mva=100)
     grid.add("north", Bus(reference=True))
     grid.add("south", Bus())
@@ -117,11 +119,11 @@ def _formulations() -> Iterator[Formulation]:
         try:
             yield plugin.load()()
         except PluginError:
-            continue  # not this device's fault
+            continue  # not the fault of this device
 
 
 def _check_declarations(rules: Contract, device: Device, grid: Network) -> None:
-    """The same quantities under every formulation, power for the balance, and nothing of an empty table."""
+    """Quantities do not depend on the formulation, power is injected, an empty table is accepted."""
     empty = grid.copy()
     empty.remove("example")
     empty.add("example", replace(grid["example"], in_service=False))  # type: ignore[type-var]
@@ -129,7 +131,7 @@ def _check_declarations(rules: Contract, device: Device, grid: Network) -> None:
     for formulation in _formulations():
         for horizon in (1, 3):
             model, injected = _declared(rules, device, grid, formulation, horizon)
-            rules.require(injected, "feeds power into the balance (model.inject)")
+            rules.require(injected, "injects power into the balance (model.inject)")
             names = {name for name, p in model.published.items() if p.kind == device.component.kind}
             same = names == seen.setdefault(formulation.reactive, names)
             found = f"{', '.join(sorted(names))} with {formulation.name}"
@@ -140,37 +142,37 @@ def _check_declarations(rules: Contract, device: Device, grid: Network) -> None:
 def _declared(
     rules: Contract, device: Device, grid: Network, formulation: Formulation, stages: int
 ) -> tuple[Model, list[Any]]:
-    """The model of a device under a formulation, and what it injected."""
+    """Return the model of a device under a formulation, and the injections of the device."""
     arrays = per_unit(grid)
     zones = formulation.zones(arrays)
     model = _Watching(arrays, stages, 1.0, reactive=formulation.reactive, zones=zones)
     formulation.declare(model)
     model.watched = []
-    how = "none" if not len(arrays.tables[device.component.kind]) else "some"
-    with rules.rule(f"declares {how} of its components over {stages} stages with {formulation.name}"):
+    how = "without" if not len(arrays.tables[device.component.kind]) else "with"
+    with rules.rule(f"can be declared {how} components over {stages} stages under {formulation.name}"):
         model.connect(device)
         device.cost(model)
     return model, model.watched
 
 
 class _Watching(Model):
-    """A model that notes what is injected."""
+    """A model that records injections."""
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.watched: list[Any] = []
 
     def inject(self, bus: Any, p: Any = None, q: Any = None) -> None:
-        """Note the injection and pass it on."""
+        """Record the injection and pass it on."""
         self.watched += [power for power in (p, q) if power is not None]
         super().inject(bus, p, q)
 
 
 def _check_cost(rules: Contract, device: Device, one: NumericStage, other: NumericStage, stages: int) -> None:
-    """The cost of the device alone: finite, one value per stage, below its chord."""
+    """The cost of the device alone is finite and convex, with one value per stage."""
     middle = copy(one)
     middle.values = {key: 0.5 * (one.values[key] + other.values[key]) for key in one.values}
-    with rules.rule("its cost can be evaluated on numbers"):
+    with rules.rule("its cost can be evaluated numerically"):
         costs = [device.cost(stage) for stage in (one, other, middle)]
     if all(cost is None for cost in costs):
         return
@@ -184,7 +186,7 @@ def _check_cost(rules: Contract, device: Device, one: NumericStage, other: Numer
 
 
 def _check_loop(rules: Contract, device: Device, grid: Network) -> None:
-    """A closed loop with the AC equations: states are handed on, results are complete."""
+    """A closed loop with the AC equations passes on states, and its results are complete."""
     problem = MultiStage(grid, 2, devices=[device])
     with rules.rule("runs in a closed loop"):
         run = simulate(problem, steps=3)
@@ -193,9 +195,9 @@ def _check_loop(rules: Contract, device: Device, grid: Network) -> None:
     for state in problem.model.states.values():
         if state.role == "stock":
             before, after = data[f"{state.name}_next"].values[:-1], data[state.name].values[1:]
-            rules.require(np.allclose(before, after, atol=1e-6), "a stock ends where the next step begins")
+            rules.require(np.allclose(before, after, atol=1e-6), "a stock is carried from step to step")
     report = check(grid, data)
     unknown = [what for what in report.unchecked if what.startswith("balance")]
-    rules.require(not unknown, "results say what it draws", "; ".join(unknown))
+    rules.require(not unknown, "results report its injections", "; ".join(unknown))
     found = "" if report.worst is None else f"{report.worst.family}: {report.worst.value:.1e} p.u."
-    rules.require(report.max_violation <= _VIOLATION, "keeps limits and balances", found)
+    rules.require(report.max_violation <= _VIOLATION, "satisfies limits and balances", found)

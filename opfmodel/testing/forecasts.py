@@ -19,16 +19,16 @@ Series = Mapping[SeriesKey, npt.NDArray[np.float64]]
 
 
 def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
-    """Raise :class:`ContractError` unless a forecast keeps its contract.
+    """Raise :class:`ContractError` unless a forecast satisfies its contract.
 
-    Its options are documented and plain data; it expects every series that there is and no other,
-    by as many finite numbers as are asked for; it expects the same whenever, in whatever order and for
-    however many stages it is asked; and it leaves what happens as it is.
+    - Its options are documented plain data.
+    - It covers every actual series and no other, with one finite value per stage.
+    - Its values depend neither on the order of calls nor on the number of stages.
 
     Parameters
     ----------
     actual
-        What happens; by default the demand of a feeder.
+        The actual series; by default the demand of a feeder.
     """
     rules = Contract(f"forecast {type(forecast).__name__}")
     rules.require(isinstance(forecast, Forecast), "is a Forecast")
@@ -40,21 +40,21 @@ def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
         for order in (asked, asked[::-1])
     )
     same = all(_equal(first[which], second[which]) for which in asked)
-    rules.require(same, "expects the same when it is asked again, in another order")
+    rules.require(same, "returns the same values when called again in another order")
     for time, stages in asked:
         longer = {key: values[:stages] for key, values in first[time, 3].items()}
-        rules.require(_equal(first[time, stages], longer), "expects the same for however many stages")
+        rules.require(_equal(first[time, stages], longer), "returns the same values for any number of stages")
 
 
 def _expected(rules: Contract, forecast: Forecast, actual: Profiles, time: int, stages: int) -> Series:
-    """What is expected, of the right series and shapes."""
+    """Return a forecast after checking its series and shapes."""
     with rules.rule("forecasts every step"):
         series = forecast.expected(actual, time, stages)
-    rules.require(series.keys() == actual.keys(), "expects every series that there is and no other")
+    rules.require(series.keys() == actual.keys(), "covers every actual series and no other")
     for key, values in series.items():
-        where = f"{key}, asked for {stages}, has shape {np.shape(values)}"
-        rules.require(np.shape(values) == (stages,), "expects one value per stage", where)
-        rules.require(np.isfinite(values).all(), "expects finite numbers", str(key))
+        where = f"{key} has shape {np.shape(values)} for {stages} stages"
+        rules.require(np.shape(values) == (stages,), "returns one value per stage", where)
+        rules.require(np.isfinite(values).all(), "returns finite values", str(key))
     return {key: np.array(values) for key, values in series.items()}
 
 

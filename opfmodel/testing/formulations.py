@@ -22,13 +22,16 @@ _VIOLATION = 1e-6  # p.u.
 
 
 def check_formulation(formulation: Formulation) -> None:
-    """Raise :class:`ContractError` unless a formulation keeps its contract.
+    """Raise :class:`ContractError` unless a formulation satisfies its contract.
 
-    It states its name, whether it balances reactive power, and what it publishes, and publishes just
-    that on any grid; a radial grid with all built-in devices and time series is solved for one stage
-    and for three, and :func:`opfmodel.check.check` finds no violation; the price ``lmp`` of a
-    bus is the slope of the cost in its demand; branches without ratings, no shunts, no branches,
-    islands and parts out of service are coped with; a loop is solved or refused by a ``ModelError``.
+    - It states its name, whether it balances reactive power, and what it publishes; it publishes
+      exactly that on any grid.
+    - It solves a radial grid with all built-in devices and time series, for one stage and for three,
+      and :func:`opfmodel.check.check` finds no violation.
+    - The price ``lmp`` of a bus is the derivative of the cost with respect to its demand.
+    - It supports branches without ratings, grids without shunts or branches, islands, and equipment
+      out of service.
+    - It solves a grid with a loop, or rejects it with a ``ModelError``.
     """
     rules = Contract(f"formulation {type(formulation).__name__}")
     rules.require(isinstance(formulation, Formulation), "is a Formulation")
@@ -39,27 +42,27 @@ def check_formulation(formulation: Formulation) -> None:
     for name, grid in EDGE_GRIDS.items():
         _check_plan(rules, formulation, grid(), 2, f"a grid with {name}", series=False)
     _check_prices(rules, formulation)
-    with rules.rule("solves a loop or refuses it with a ModelError"):
+    with rules.rule("solves a grid with a loop or rejects it with a ModelError"):
         try:
             MultiStage(ring(), formulation=formulation).declare()
         except ModelError as error:
-            rules.require("'ring'" in str(error), "names the grid that it refuses", str(error))
+            rules.require("'ring'" in str(error), "names the grid that it rejects", str(error))
             return
     _check_plan(rules, formulation, ring(), 2, "a ring", series=False)
 
 
 def _check_statements(rules: Contract, formulation: Formulation) -> None:
-    """The attributes are there, and what is published is what is stated."""
+    """The attributes exist, and the published quantities are those stated."""
     for attribute, kind in (("name", str), ("reactive", bool), ("publishes", tuple)):
         value = getattr(formulation, attribute, None)
         rules.require(isinstance(value, kind), f"states {attribute}, a {kind.__name__}", repr(value))
     for grid in (feeder(), *(make() for make in EDGE_GRIDS.values())):
         arrays = per_unit(grid)
-        with rules.rule("gives every bus a row of the balance"):
+        with rules.rule("assigns every bus to a row of the balance"):
             zones = formulation.zones(arrays)
             model = Model(arrays, 2, 1.0, reactive=formulation.reactive, zones=zones)
-        rules.require(zones.shape == (len(arrays.bus),), "gives every bus a row of the balance")
-        with rules.rule("declares itself on any grid"):
+        rules.require(zones.shape == (len(arrays.bus),), "assigns every bus to a row of the balance")
+        with rules.rule("can be declared on any grid"):
             formulation.declare(model)
         stated, published = set(formulation.publishes), set(model.published)
         rules.require(stated <= published, "publishes what it states", ", ".join(sorted(stated - published)))
@@ -76,26 +79,26 @@ def _solved(rules: Contract, problem: MultiStage, rule: str) -> Plan:
 def _check_plan(
     rules: Contract, formulation: Formulation, grid: Network, horizon: int, what: str, series: bool = True
 ) -> None:
-    """A grid is solved and an independent check finds nothing wrong."""
+    """A grid is solved, and the independent check finds no violation."""
     profiles = demand() if series else {}
     plan = _solved(
         rules, MultiStage(grid, horizon, formulation=formulation, profiles=profiles), f"solves {what}"
     )
-    with rules.rule(f"reports {what} so that it can be checked"):
+    with rules.rule(f"reports results of {what} that can be checked"):
         report = check(grid, plan.data, profiles)
     worst = report.worst
     found = "" if worst is None else f"{worst.family} at {worst.component}: {worst.value:.1e} p.u."
-    rules.require(report.max_violation <= _VIOLATION, f"keeps all limits and balances of {what}", found)
+    rules.require(report.max_violation <= _VIOLATION, f"satisfies all limits and balances of {what}", found)
     balanced = not any(left_out.startswith("balance") for left_out in report.unchecked)
     rules.require(balanced, "publishes the flows of all branches, or none", "; ".join(report.unchecked))
-    with rules.rule("says how far a solution is from what it relaxes"):
+    with rules.rule("reports the distance from relaxed equations"):
         distances = plan.relaxation.values()
     sound = all(np.isfinite(distance) and distance >= 0.0 for distance in distances)
-    rules.require(sound, "says how far a solution is from what it relaxes", str(plan.relaxation))
+    rules.require(sound, "reports the distance from relaxed equations", str(plan.relaxation))
 
 
 def _check_prices(rules: Contract, formulation: Formulation) -> None:
-    """The price of a bus is the slope of the optimal cost in its demand, for a stage of half an hour."""
+    """The price of a bus is the derivative of the optimal cost of a half-hour stage in its demand."""
     grid, step, change = feeder(), 0.5, 0.05
     grid.remove("tank")
     grid.remove("battery")
@@ -103,7 +106,7 @@ def _check_prices(rules: Contract, formulation: Formulation) -> None:
 
     def plan() -> Plan:
         problem = MultiStage(grid, 1, step, formulation=formulation)
-        return _solved(rules, problem, "solves a feeder with other demand")
+        return _solved(rules, problem, "solves a feeder with changed demand")
 
     for name, load in grid.of(Load).items():
         price = float(plan().data["lmp"].sel(bus=load.bus)[0])
@@ -115,6 +118,6 @@ def _check_prices(rules: Contract, formulation: Formulation) -> None:
         slope = (costs[0] - costs[1]) / (2 * change * step)
         rules.require(
             np.isclose(price, slope, rtol=1e-3, atol=1e-3),
-            "the price of a bus is the slope of the cost in its demand",
-            f"at {load.bus} {price:g} is not {slope:g} $/MWh",
+            "the price of a bus is the derivative of the cost with respect to its demand",
+            f"at {load.bus}, {price:g} instead of {slope:g} $/MWh",
         )

@@ -1,4 +1,4 @@
-"""Small grids on which contracts are checked, and time series for them."""
+"""Small grids for contract checks, and time series for them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 def feeder(name: str = "feeder") -> Network:
-    """A radial grid with all built-in devices: both forms of cost, ideal and lossy storage, a shunt."""
+    """Build a radial grid with all built-in devices: both kinds of cost, ideal and lossy storage, a shunt."""
     grid = Network(name, base_mva=50)
     for bus in ("station", "street", "close"):
         grid.add(bus, Bus(vm=(0.9, 1.1), reference=bus == "station"))
@@ -47,7 +47,7 @@ def feeder(name: str = "feeder") -> Network:
 
 
 def ring() -> Network:
-    """The feeder with a branch that closes a loop."""
+    """Build the feeder with a branch that closes a loop."""
     grid = feeder("ring")
     grid.add("tie", Branch("station", "close", r=0.03, x=0.09, rating=40))
     return grid
@@ -98,12 +98,12 @@ EDGE_GRIDS: dict[str, Callable[[], Network]] = {
     "no shunts": _no_shunts,
     "no branches": _no_branches,
     "islands": _islands,
-    "parts out of service": _out_of_service,
+    "equipment out of service": _out_of_service,
 }
 
 
 def demand(steps: int = 4) -> dict[str, Array]:
-    """Time series of demand, of a cost and of a rating for :func:`feeder`."""
+    """Return time series of demand, a cost and a rating for :func:`feeder`."""
     wave = 1.0 + 0.2 * np.sin(np.arange(steps))
     return {
         "town.p": 30 * wave,

@@ -31,18 +31,19 @@ def check_objective(
     network: Network | None = None,
     profiles: Mapping[str, npt.ArrayLike] | None = None,
 ) -> None:
-    """Raise :class:`ContractError` unless an objective keeps its contract.
+    """Raise :class:`ContractError` unless an objective satisfies its contract.
 
-    Its options are documented and plain data; some formulation publishes what it ``needs``, it reads
-    nothing else without asking ``stage.has``, and formulations that lack a need refuse it by name;
-    at random points the compiled program and the formula on numbers agree; the cost is finite, one
-    value per stage for one stage and for three, can be weighted and added, and is convex in the
-    quantities if ``convex`` says so.
+    - Its options are documented plain data.
+    - Some formulation publishes all quantities in ``needs``; formulations that lack one reject the
+      objective by name. The objective reads other quantities only after ``stage.has``.
+    - At random points, the cost is the same when evaluated numerically and in the program.
+    - The cost is finite, has one value per stage for one stage and for three, can be weighted and
+      added, and is convex in the quantities unless ``convex`` is False.
 
     Parameters
     ----------
     network, profiles
-        A grid whose names the options of the objective fit; by default a feeder with all built-in
+        A grid with the names in the options of the objective; by default a feeder with all built-in
         devices. The time series cover at least three steps.
     """
     rules = Contract(f"objective {type(objective).__name__}")
@@ -64,9 +65,9 @@ def check_objective(
             profiles=profiles,
             regularisation=0.0,
         )
-        with rules.rule("compiles, and its problem is solved"):
+        with rules.rule("compiles to a problem that can be solved"):
             plan = problem.solve()
-        rules.require(plan.optimal, "compiles, and its problem is solved", plan.termination)
+        rules.require(plan.optimal, "compiles to a problem that can be solved", plan.termination)
         points = [at_random(plan, rng) for _ in range(4)]
         for point in points:
             _check_values(rules, objective, point, horizon)
@@ -75,23 +76,23 @@ def check_objective(
 
 
 def _check_needs(rules: Contract, objective: Objective, network: Network) -> str:
-    """Formulations either publish what is needed or refuse; returns one that publishes it."""
+    """Formulations publish all needs or reject the objective; return one that publishes them."""
     able = []
     for name, plugin in plugins.plugins("formulation").items():
         try:
             formulation = plugin.load()()
         except PluginError:
-            continue  # not this objective's fault
+            continue  # not the fault of this objective
         problem = MultiStage(network, formulation=formulation, objective=objective)
         try:
             published = problem.declare().published
         except ModelError:
-            continue  # the formulation does not take this grid
+            continue  # the formulation does not accept this grid
         missing = [need for need in objective.needs if need not in published]
         if not missing:
             able.append(name)
             continue
-        rule = "is refused, by name, by a formulation that lacks a need"
+        rule = "is rejected by name by a formulation that lacks a quantity in needs"
         try:
             problem.compile()
         except ModelError as error:
@@ -99,13 +100,13 @@ def _check_needs(rules: Contract, objective: Objective, network: Network) -> str
             rules.require(named, rule, str(error))
         else:
             rules.require(False, rule, f"formulation {name!r} compiles it without {missing[0]}")
-    rules.require(able, "needs what some formulation publishes", ", ".join(objective.needs))
+    rules.require(able, "needs only quantities that some formulation publishes", ", ".join(objective.needs))
     return "ac" if "ac" in able else able[0]
 
 
 def _check_values(rules: Contract, objective: Objective, plan: Plan, stages: int) -> None:
-    """The formula on numbers: one finite value per stage, the same as in the program."""
-    stage, rule = plan.stage, "reads no more than it needs, unless stage.has says that it is there"
+    """The numerical cost has one finite value per stage, and equals that of the program."""
+    stage, rule = plan.stage, "reads only quantities in needs, or those confirmed by stage.has"
     with rules.rule(rule):
         try:
             least = _Needed(stage, objective.needs)
@@ -114,7 +115,7 @@ def _check_values(rules: Contract, objective: Objective, plan: Plan, stages: int
         except QuantityError as error:
             found = f"{error.kind}.{error.quantity} is not in needs = {objective.needs}"
             rules.require(False, rule, found)
-    with rules.rule("its cost can be evaluated on numbers"):
+    with rules.rule("its cost can be evaluated numerically"):
         cost = objective.stage_cost(stage)
         value = plan.objective
     if cost is not None:
@@ -129,11 +130,11 @@ def _check_values(rules: Contract, objective: Objective, plan: Plan, stages: int
     compiled = plan.solution.objective
     rules.require(np.isfinite(value), "its cost is finite", str(value))
     same = abs(value - compiled) <= 1e-9 * (1.0 + abs(value))
-    rules.require(same, "costs the same on numbers and as a program", f"{value:.12g} is not {compiled:.12g}")
+    rules.require(same, "has the same cost numerically and in the program", f"{value:.12g}, {compiled:.12g}")
 
 
 def _check_convex(rules: Contract, objective: Objective, one: NumericStage, other: NumericStage) -> None:
-    """Between two points the cost lies below its chord."""
+    """The cost lies below the chord between two points."""
     if not objective.convex:
         return
     middle = copy(one)
@@ -146,13 +147,13 @@ def _check_convex(rules: Contract, objective: Objective, one: NumericStage, othe
         above = np.asarray(cost(middle)) - chord - 1e-9 * (1.0 + np.abs(chord))
         rules.require(
             (above <= 0).all(),
-            "is convex in the quantities, or says convex = False",
+            "is convex in the quantities, or states convex = False",
             f"{cost.__name__} lies {above.max():.3g} above its chord",
         )
 
 
 class _Needed:
-    """A stage that publishes what an objective needs and nothing else."""
+    """A stage that publishes only what an objective needs."""
 
     def __init__(self, stage: NumericStage, needs: tuple[str, ...]) -> None:
         self._stage = stage
@@ -169,5 +170,5 @@ class _Needed:
         return Quantities(name, get, lambda: [q for q in dir(found) if q not in self._hidden])
 
     def has(self, name: str) -> bool:
-        """Whether a quantity is there."""
+        """Return whether a quantity is published."""
         return name not in self._hidden and self._stage.has(name)

@@ -13,10 +13,10 @@ __all__ = ["at_random"]
 
 
 def at_random(plan: Plan, rng: np.random.Generator) -> Plan:
-    """A plan of the same problem with random values in place of the optimum.
+    """Return a plan of the same problem with random values in place of the optimum.
 
-    Variables that stand for a maximum (:func:`solvers.largest`) take the value of the maximum, so
-    that the cost of the program is that of the formula.
+    Variables that stand for a maximum (:func:`solvers.largest`) take the value of the maximum; the
+    cost of the program then equals that of the formula.
     """
     instance = plan.solution.instance
     low = np.where(np.isfinite(instance.lower), instance.lower, np.minimum(instance.upper, 2.0) - 2.0)
@@ -28,7 +28,7 @@ def at_random(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def _raised(solution: Solution, epigraph: Epigraph) -> Solution:
-    """The point with maxima put on the largest of their pieces, which are in rows ``t - piece``."""
+    """Set the variables of maxima to their largest piece; pieces are in rows ``t - piece``."""
     x, block = solution.x.copy(), epigraph.variables
     x[block.slice] = 0.0
     solution = replace(solution, x=x)
