@@ -660,9 +660,7 @@ def test_the_table_of_a_damaged_study_is_printed_with_a_warning(folder: Path) ->
 
 
 def test_a_folder_without_a_study_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(
-        ResultError, match=r"study.json: no such file; 'opfmodel study run' writes it"
-    ):
+    with pytest.raises(ResultError, match=r"study.json: no such file; 'opfmodel study run' creates it"):
         read_table(tmp_path)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import FORECAST_FIELDS, Array, Forecast, part
+from opfmodel.network.bounds import integer, number_within
 
 __all__ = ["Noisy"]
 
@@ -44,15 +45,11 @@ class Noisy(Forecast):
         correlation: float = 0.9,
         fields: tuple[str, ...] = FORECAST_FIELDS,
     ) -> None:
-        if not 0 <= deviation < np.inf:
-            raise ProfileError(f"noisy: deviation = {deviation}: must be a finite number, at least 0")
-        if not 0 <= correlation < 1:
-            raise ProfileError(f"noisy: correlation = {correlation}: must be at least 0 and below 1")
-        if seed < 0:
-            raise ProfileError(f"noisy: seed = {seed}: must be an integer, at least 0")
-        self.deviation = deviation
-        self.seed = seed
-        self.correlation = correlation
+        self.deviation = number_within("noisy: deviation", deviation, at_least=0, error=ProfileError)
+        self.correlation = number_within(
+            "noisy: correlation", correlation, at_least=0, below=1, error=ProfileError
+        )
+        self.seed = integer("noisy: seed", seed, at_least=0, error=ProfileError)
         self.fields = fields
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:

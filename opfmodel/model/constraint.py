@@ -14,7 +14,7 @@ from opfmodel.model.elastic import Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import Stage
 from opfmodel.network.arrays import Index
-from opfmodel.network.bounds import bounded
+from opfmodel.network.bounds import bounded, is_number
 from opfmodel.network.network import name_pattern
 from opfmodel.network.units import scale
 from solvers import Constraint, Expression, Sum, total
@@ -147,7 +147,12 @@ class CustomConstraint:
 def _limit(side: str, given: npt.ArrayLike | None, absent: float) -> Array:
     """Return a limit as a number or a vector over time steps."""
     values = np.asarray(absent if given is None else given)
-    if values.ndim > 1 or values.dtype.kind not in "if" or np.isnan(values).any():
+    if (
+        values.ndim > 1
+        or values.dtype.kind not in "if"
+        or (values == -absent).any()
+        or np.isnan(values).any()
+    ):
         raise ConstraintError(f"{side} = {given!r}: must be a number or one number per time step", side)
     return values.astype(float)
 
@@ -228,7 +233,7 @@ class Linear:
         if not terms:
             raise ConstraintError("needs at least one term, such as generator.pg: 1", "terms")
         for key, factor in terms.items():
-            if isinstance(factor, bool) or not isinstance(factor, int | float) or not bounded(factor):
+            if not (is_number(factor) and bounded(factor)):
                 raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
             owner, dot, quantity = str(key).rpartition(".")
             if not (owner and dot and quantity):

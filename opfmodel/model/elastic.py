@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError
 from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
 from solvers import Solution
 
@@ -52,9 +52,7 @@ class Elastic:
 
     def __post_init__(self) -> None:
         for name in ("limit", "shedding", "balance"):
-            price = getattr(self, name)
-            if not isinstance(price, int | float) or not 0 < price < np.inf:
-                raise ModelError(f"elastic: {name} = {price!r}: must be a positive price in $/MWh")
+            number_within(f"elastic: {name}", getattr(self, name), above=0)
 
 
 class Side(Enum):

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from opfmodel.errors import ComponentError
-from opfmodel.network.bounds import LARGEST, bounded
-from opfmodel.network.fields import is_number
+from opfmodel.network.bounds import LARGEST, bounded, is_number
 
 __all__ = ["Cost", "PiecewiseLinear", "Polynomial"]
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 
 from opfmodel.errors import ComponentError
-from opfmodel.network.bounds import LARGEST, bounded
+from opfmodel.network.bounds import LARGEST, bounded, is_number
 
 __all__ = [
     "INF",
@@ -18,7 +18,6 @@ __all__ = [
     "at_bus",
     "flag",
     "is_flag",
-    "is_number",
     "number",
     "rules_of_number",
     "rules_of_span",
@@ -121,14 +120,7 @@ class TableField(NamedTuple):
 # Checks: types always, rules only for components in service -----------------------------------------
 
 _FINITE = f"must be a finite number of at most {LARGEST:g}"
-# Created once, because they are used about ten times for each component of a network file.
-_NUMBERS = (float, int, np.integer, np.floating)
 _FLAGS = (bool, np.bool_)
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a number; Booleans do not count."""
-    return isinstance(value, _NUMBERS) and not isinstance(value, bool)
 
 
 def is_flag(value: object) -> TypeGuard[bool]:

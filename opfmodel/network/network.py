@@ -22,10 +22,10 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
-from opfmodel.network.bounds import BASE_MVA
+from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
 from opfmodel.network.components import BUILT_IN, Generator, Load, Storage
-from opfmodel.network.fields import INF, is_number
+from opfmodel.network.fields import INF
 
 __all__ = ["Network", "name_pattern"]
 

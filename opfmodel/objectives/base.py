@@ -11,7 +11,7 @@ import numpy.typing as npt
 from opfmodel.errors import IncompatibleError
 from opfmodel.model import Stage
 from opfmodel.network.arrays import PerUnitNetwork
-from opfmodel.objectives.checks import not_negative
+from opfmodel.network.bounds import number_within
 
 __all__ = ["Objective", "WeightedSum"]
 
@@ -83,7 +83,7 @@ class WeightedSum(Objective):
     def __init__(self, parts: list[tuple[float, Objective]]) -> None:
         flat: list[tuple[float, Objective]] = []
         for given, part in parts:
-            weight = not_negative(type(part).__name__, "weight", given)
+            weight = number_within(f"{type(part).__name__}: weight", given, at_least=0)
             nested = part.parts if isinstance(part, WeightedSum) else [(1.0, part)]
             flat += [(weight * w, p) for w, p in nested]
         self.parts: list[tuple[float, Objective]] = flat

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from opfmodel.model import Stage
+from opfmodel.network.bounds import number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from solvers import total
 
 __all__ = ["Economic"]
@@ -32,8 +32,8 @@ class Economic(Objective):
     regularisation = 1e-2
 
     def __init__(self, reactive_weight: float = 0.0, energy_weight: float = 0.0) -> None:
-        self.reactive_weight = not_negative("economic", "reactive_weight", reactive_weight)
-        self.energy_weight = not_negative("economic", "energy_weight", energy_weight)
+        self.reactive_weight = number_within("economic: reactive_weight", reactive_weight, at_least=0)
+        self.energy_weight = number_within("economic: energy_weight", energy_weight, at_least=0)
 
     def stage_cost(self, stage: Stage) -> Any:
         """Return the operating cost plus the small quadratic terms."""

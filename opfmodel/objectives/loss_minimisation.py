@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from opfmodel.model import Stage
+from opfmodel.network.bounds import number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from solvers import total
 
 __all__ = ["LossMinimisation"]
@@ -30,7 +30,7 @@ class LossMinimisation(Objective):
     regularisation = 1e-2
 
     def __init__(self, price: float = 1.0) -> None:
-        self.price = not_negative("loss minimisation", "price", price)
+        self.price = number_within("loss minimisation: price", price, at_least=0)
 
     def stage_cost(self, stage: Stage) -> Any:
         """Return the price times the losses."""

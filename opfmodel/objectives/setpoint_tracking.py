@@ -11,9 +11,8 @@ import numpy.typing as npt
 from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.model import Stage
 from opfmodel.network.arrays import PerUnitNetwork
-from opfmodel.network.bounds import LARGEST
+from opfmodel.network.bounds import LARGEST, number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from solvers import total
 
 __all__ = ["SetpointTracking", "Setpoints"]
@@ -119,8 +118,8 @@ class SetpointTracking(Objective):
         input_weight: float = 0.1,
     ) -> None:
         self.setpoints = setpoints if isinstance(setpoints, Setpoints) else Setpoints(setpoints)
-        self.state_weight = not_negative("set-point tracking", "state_weight", state_weight)
-        self.input_weight = not_negative("set-point tracking", "input_weight", input_weight)
+        self.state_weight = number_within("set-point tracking: state_weight", state_weight, at_least=0)
+        self.input_weight = number_within("set-point tracking: input_weight", input_weight, at_least=0)
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
         """Return the set-points as fields ``pg_setpoint``, ... of their components."""

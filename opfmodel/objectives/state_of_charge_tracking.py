@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from opfmodel.errors import ModelError
 from opfmodel.model import Stage
+from opfmodel.network.bounds import number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from solvers import total
 
 __all__ = ["StateOfChargeTracking"]
@@ -34,10 +33,8 @@ class StateOfChargeTracking(Objective):
     needs = ("e",)
 
     def __init__(self, share: float = 0.5, weight: float = 1.0) -> None:
-        if not_negative("state-of-charge tracking", "share", share) > 1.0:
-            raise ModelError(f"state-of-charge tracking: share = {share!r}: must lie between 0 and 1")
-        self.share = float(share)
-        self.weight = not_negative("state-of-charge tracking", "weight", weight)
+        self.share = number_within("state-of-charge tracking: share", share, at_least=0, at_most=1)
+        self.weight = number_within("state-of-charge tracking: weight", weight, at_least=0)
 
     def stage_cost(self, stage: Stage) -> Any:
         """Return the weighted squares of the distances at the start of the stage."""

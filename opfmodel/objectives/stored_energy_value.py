@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from opfmodel.model import Stage
+from opfmodel.network.bounds import number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import finite
 from solvers import total
 
 __all__ = ["StoredEnergyValue"]
@@ -31,7 +31,7 @@ class StoredEnergyValue(Objective):
     needs = ("e_next",)
 
     def __init__(self, price: float) -> None:
-        self.price = finite("stored energy value", "price", price)
+        self.price = number_within("stored energy value: price", price)
 
     def stage_cost(self, stage: Stage) -> Any:  # noqa: ARG002
         """Return None."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from opfmodel.model import Stage
+from opfmodel.network.bounds import number_within
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from solvers import total
 
 __all__ = ["VoltageDeviation"]
@@ -30,8 +30,8 @@ class VoltageDeviation(Objective):
     regularisation = 1e-2
 
     def __init__(self, target: float = 1.0, weight: float = 1.0) -> None:
-        self.target = not_negative("voltage deviation", "target", target)
-        self.weight = not_negative("voltage deviation", "weight", weight)
+        self.target = number_within("voltage deviation: target", target, at_least=0)
+        self.weight = number_within("voltage deviation: weight", weight, at_least=0)
 
     def stage_cost(self, stage: Stage) -> Any:
         """Return the weighted squares of the distances."""

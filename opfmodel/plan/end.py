@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from opfmodel.errors import ModelError
-from opfmodel.network.bounds import bounded
+from opfmodel.network.bounds import number_within
 
 __all__ = ["End"]
 
@@ -29,7 +28,5 @@ class End:
     price: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.minimum, int | float) or not 0.0 <= self.minimum <= 1.0:
-            raise ModelError(f"end of horizon: minimum = {self.minimum!r}: must be a share between 0 and 1")
-        if not isinstance(self.price, int | float) or not bounded(self.price):
-            raise ModelError(f"end of horizon: price = {self.price!r}: must be a finite number in $/MWh")
+        number_within("end: minimum", self.minimum, at_least=0, at_most=1)
+        number_within("end: price", self.price)

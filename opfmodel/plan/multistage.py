@@ -19,16 +19,16 @@ from opfmodel.errors import (
     QuantityError,
     listed,
     name_fault,
+    shown,
 )
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
-from opfmodel.network.bounds import STEP_HOURS
+from opfmodel.network.bounds import STEP_HOURS, integer, number_within
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series, fields_with_series, widest, window
 from opfmodel.network.units import scale
 from opfmodel.objectives.base import Objective
-from opfmodel.objectives.checks import not_negative
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
@@ -37,11 +37,32 @@ from opfmodel.plan.parts import make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
-from solvers import Program, Session, SolverError, Start, prepare
+from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
 
 __all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
+
+# What a program is compiled from; the constraints are added by a method.
+_STATED = frozenset(
+    [
+        "network",
+        "horizon",
+        "step",
+        "arrays",
+        "formulation",
+        "objective",
+        "profiles",
+        "generator_delay",
+        "end",
+        "regularisation",
+        "elastic",
+        "devices",
+        "solver",
+        "options",
+        "verbose",
+    ]
+)
 
 
 class MultiStage:
@@ -115,24 +136,26 @@ class MultiStage:
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
     ) -> None:
-        if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 1:
-            raise ModelError(f"horizon = {horizon!r}: must be a whole number of stages, at least 1")
         shortest, longest = STEP_HOURS
-        numeric = isinstance(step, int | float | np.number) and not isinstance(step, bool)
-        if not (numeric and shortest <= step <= longest):
-            raise ModelError(f"step = {step!r}: must be a number of hours from {shortest:g} to {longest:g}")
-        if generator_delay not in (0, 1):
+        if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
+        for name, value, wanted in (
+            ("network", network, Network),
+            ("objective", objective, Objective | None),
+            ("end", end, End | None),
+            ("elastic", elastic, Elastic | None),
+        ):
+            if not isinstance(value, wanted):
+                known = wanted.__name__ if isinstance(wanted, type) else str(wanted).rpartition(".")[2]
+                raise ModelError(f"{name} = {shown(value)}: must be {known}")
         self.network = network.copy()  # what is changed from now on is for other problems
-        self.horizon = int(horizon)
-        self.step = float(step)
+        self.horizon = integer("horizon", horizon, at_least=1)
+        self.step = number_within("step", step, at_least=shortest, at_most=longest)
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
         needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
         check_memory(f"horizon = {horizon:,}", needed)
         self.objective = Economic() if objective is None else objective
-        if not isinstance(self.objective, Objective):
-            raise ModelError(f"objective = {objective!r}: must be an objective, such as Economic()")
         self.profiles = Profiles.of(profiles)
         check_series(self.profiles, network)
         self.generator_delay = generator_delay
@@ -140,7 +163,7 @@ class MultiStage:
         self.regularisation = (
             self.objective.regularisation
             if regularisation is None
-            else not_negative("plan", "regularisation", regularisation)
+            else number_within("regularisation", regularisation, at_least=0)
         )
         self.elastic = elastic
         self.devices = make_devices(self.arrays, devices)
@@ -151,6 +174,11 @@ class MultiStage:
         self.constraints: dict[str, CustomConstraint] = {}
         self._rationed = False
         self._family = object()  # shared with the variants, which are copies
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _STATED and "_compiled" in self.__dict__:
+            raise ModelError(f"{name}: the problem is already compiled; create another one")
+        super().__setattr__(name, value)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -403,13 +431,15 @@ class MultiStage:
         )
 
     def _minimize(self, model: Model) -> None:
-        build = model.build
-        cost = self.objective.stage_cost(model)
-        if cost is not None:
-            build.minimize(self.step * cost)
-        terminal = self.objective.terminal_cost(model)
-        if terminal is not None:
-            build.minimize(terminal)
+        for what, weight in (("stage_cost", self.step), ("terminal_cost", 1.0)):
+            cost = getattr(self.objective, what)(model)
+            if isinstance(cost, Expression | Sum):
+                model.build.minimize(weight * cost)
+            elif cost is not None:
+                raise ModelError(
+                    f"objective {type(self.objective).__name__}: {what} = {shown(cost)}: "
+                    "must be a quantity or total of the stage, or None"
+                )
 
     def _constrain(self, model: Model, constraint: CustomConstraint) -> None:
         try:
@@ -476,9 +506,10 @@ class MultiStage:
             Limit on the penalty of a rationed problem, p.u. h of the cheapest kind.
         """
         time, initial, end = request.time, request.initial, request.end
-        if isinstance(time, bool) or not isinstance(time, int | np.integer) or time < 0:
-            raise ModelError(f"time = {time!r}: must be a step of the profiles (a whole number, at least 0)")
+        integer("time", time, at_least=0)
         model, program, session = self._compiled
+        if previous is not None and not isinstance(previous, Plan):
+            raise ModelError(f"previous = {shown(previous)}: must be a plan")
         if (
             previous is not None
             and previous.problem is not self

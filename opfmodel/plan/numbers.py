@@ -58,7 +58,7 @@ class Numbers:
         state = self.model.states[name]
         if values is not None:
             values = np.asarray(values, dtype=float)
-            if values.shape != (self.program.variables[name].items,) or np.isnan(values).any():
+            if values.shape != (self.program.variables[name].items,) or not np.isfinite(values).all():
                 raise ModelError(
                     f"initial {name}: must be one number per {state.kind}, "
                     f"{self.program.variables[name].items} in total, not {values!r}"

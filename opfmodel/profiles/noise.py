@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.errors import ProfileError
+from opfmodel.network.bounds import integer, number_within
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Noise"]
@@ -35,15 +36,11 @@ class Noise(ProfileRule):
     def __init__(
         self, deviation: float, correlation: float, seed: int, loads: list[str] | None = None
     ) -> None:
-        if deviation < 0:
-            raise ProfileError(f"noise: deviation = {deviation!r}: must be at least 0")
-        if not 0 <= correlation < 1:
-            raise ProfileError(f"noise: correlation = {correlation!r}: must be at least 0 and below 1")
-        if seed < 0:
-            raise ProfileError(f"noise: seed = {seed!r}: must be an integer, at least 0")
-        self.deviation = deviation
-        self.correlation = correlation
-        self.seed = seed
+        self.deviation = number_within("noise: deviation", deviation, at_least=0, error=ProfileError)
+        self.correlation = number_within(
+            "noise: correlation", correlation, at_least=0, below=1, error=ProfileError
+        )
+        self.seed = integer("noise: seed", seed, at_least=0, error=ProfileError)
         self.loads = loads
 
     def apply(self, book: Workbook) -> None:

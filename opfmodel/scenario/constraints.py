@@ -17,7 +17,7 @@ from opfmodel.errors import (
     shown,
 )
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
-from opfmodel.network.bounds import bounded
+from opfmodel.network.bounds import bounded, is_number
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.document import Document
@@ -89,7 +89,7 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
             raise ConstraintError(str(error), key) from error
     numbers = []
     for number in value if isinstance(value, list) else [value]:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not bounded(number):
+        if not (is_number(number) and bounded(number)):
             raise ConstraintError(
                 f"{shown(number)}: must be a finite number, or a list with one per step", key
             )

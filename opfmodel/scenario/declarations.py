@@ -19,6 +19,7 @@ from opfmodel.errors import (
     shown,
 )
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.bounds import is_number
 from opfmodel.network.cases import read_network
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
@@ -87,7 +88,7 @@ class Declarations:
         if base_mva is not None:
             raise self.document.error(("network", "base_mva"), "cannot be combined with file, which sets it")
         price = self.section.get("default_cost")
-        if price is not None and (isinstance(price, bool) or not isinstance(price, int | float)):
+        if price is not None and not is_number(price):
             raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
         with self.document.located("network", "file"):
             return read_network(
@@ -127,7 +128,7 @@ class Declarations:
         matching = [n for n in network if name_pattern(name).fullmatch(n)]
         if not matching:
             raise self.document.error(
-                ("network", "update", name), f"there is no such component; {nearest(name, network)}"
+                ("network", "update", name), f"no such component; {nearest(name, network)}"
             )
         for member in matching:
             old = network[member]

@@ -7,14 +7,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from opfmodel import plugins
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError, shown
+from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_finite, check_series
@@ -91,9 +90,9 @@ def make_objective(
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight < np.inf:
-            raise document.error((*key, number, "weight"), f"{shown(weight)}: must be a number, at least 0")
-        parts.append((float(weight), make_objective(document, (*key, number), rest, convert)))
+        with document.located(*key, number, "weight"):
+            weight = number_within("weight", weight, at_least=0)
+        parts.append((weight, make_objective(document, (*key, number), rest, convert)))
     if not parts:
         raise document.error(key, "needs at least one objective")
     return WeightedSum(parts)

@@ -73,6 +73,8 @@ class Controller:
     ) -> None:
         if on_infeasible not in get_args(OnInfeasible):
             raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
+        if not isinstance(problem, MultiStage):
+            raise ModelError(f"problem = {problem!r}: must be a MultiStage")
         self.problem = problem
         self.forecast = forecast
         self.on_infeasible = on_infeasible

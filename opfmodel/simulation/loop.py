@@ -10,6 +10,7 @@ from typing import Any
 
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
+from opfmodel.network.bounds import integer
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.memory import check_memory, run_bytes
@@ -69,9 +70,10 @@ def simulate(
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
     elif on_infeasible is not None:
         raise ModelError(f"on_infeasible = {on_infeasible!r}: belongs to the controller; set it there")
-    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-        raise ModelError(f"steps = {steps!r}: must be a whole number, at least 1")
+    steps = integer("steps", steps, at_least=1)
     plant = NominalPlant() if plant is None else plant
+    if not isinstance(plant, Plant):
+        raise ModelError(f"plant = {plant!r}: must be a plant, such as PowerFlow()")
     check_response(controller.forecast, plant)
     problem = controller.problem
     check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))

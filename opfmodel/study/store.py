@@ -148,7 +148,7 @@ class Store:
             The folder holds no study, or its list of runs cannot be trusted.
         """
         if not os.path.lexists(self._index):
-            raise ResultError(f"{self._index}: there is no such file; 'opfmodel study run' writes it")
+            raise ResultError(f"{self._index}: no such file; 'opfmodel study run' creates it")
         content = unsealed(self._index)
         try:
             return [(run["labels"], run["key"]) for run in content["runs"]]

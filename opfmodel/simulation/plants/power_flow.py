@@ -9,6 +9,7 @@ import numpy as np
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Generator, Load, Storage
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
@@ -46,8 +47,7 @@ class PowerFlow(ACPlant):
     def __init__(self, participation: Mapping[str, float] | None = None) -> None:
         super().__init__()
         for name, factor in (participation or {}).items():
-            if not 0 <= factor < np.inf:
-                raise ModelError(f"participation: {name} = {factor!r}: must be a number, at least 0")
+            number_within(f"participation: {name}", factor, at_least=0)
         self.participation = participation
 
     def shares(self, network: PerUnitNetwork) -> Array:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
-from opfmodel.errors import ModelError
 from opfmodel.model import Elastic
 from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import number_within
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of
@@ -42,11 +40,8 @@ class Redispatch(ACPlant):
         violation_price: float = 50_000.0,
     ) -> None:
         super().__init__()
-        for name, value in (("price", price), ("reactive_price", reactive_price)):
-            if not 0 < value < math.inf:
-                raise ModelError(f"redispatch: {name} = {value!r}: must be a positive price")
-        self.price = price
-        self.reactive_price = reactive_price
+        self.price = number_within("redispatch: price", price, above=0)
+        self.reactive_price = number_within("redispatch: reactive_price", reactive_price, above=0)
         self.elastic = Elastic(violation_price, shedding_price, 2.0 * violation_price)
 
     def make(self, plan: Plan) -> MultiStage:
