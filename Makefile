@@ -1,9 +1,9 @@
-# make run    install, run the economic NMPC of the 5-bus system, save trajectories and a figure
-# make test   install what the tests need and run them
-# make check  style, types, layers
-# make table  run the closed loops of the paper's four systems and write docs/paper-table.md
-# make bench  measure everything in benchmarks/ on an idle machine and write docs/benchmarks.md
-# make pglib  solve every PGLib case at hand and write docs/pglib.md
+# make run    install; run the economic NMPC of the 5-bus system; save trajectories and a figure
+# make test   install the test dependencies; run the tests except the slow ones
+# make check  check style, types and layers
+# make table  run the closed loops of the paper's four systems; write docs/paper-table.md
+# make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
+# make pglib  solve every available PGLib case; write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
 
@@ -37,7 +37,7 @@ pglib: .venv/.run
 clean:
 	rm -rf .venv results
 
-# One environment, filled in steps; each step is repeated only when the metadata change.
+# One environment, installed in steps. A step is repeated only when the package metadata change.
 .venv/.made:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "opfmodel needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv

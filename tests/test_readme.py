@@ -34,6 +34,27 @@ def test_python_of_a_page_runs(page: Path, capsys: pytest.CaptureFixture[str]) -
         assert len(blocks(page, "python")[0].strip().splitlines()) <= 15
 
 
+def test_the_closed_loops_of_the_readme_cost_what_it_states(tmp_path: Path) -> None:
+    readme = ROOT / "README.md"
+    (tmp_path / "two-bus.yaml").write_text(blocks(readme, "yaml")[0])
+    stated = re.findall(
+        r"opfmodel run two-bus\.yaml.*# .*?([\d,]+\.\d\d) \$", readme.read_text(encoding="utf-8")
+    )
+    for variant, cost in zip((None, "dc"), stated, strict=True):
+        run = om.load_scenario(tmp_path / "two-bus.yaml", variant).simulate()
+        assert run.status == "done", variant
+        assert run.cost == pytest.approx(float(cost.replace(",", "")), rel=1e-5), variant
+
+
+def test_the_page_on_architecture_lists_the_folders() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w[\w/]*)/` \|", page, flags=re.MULTILINE)
+    packages = [
+        init.parent for name in ("opfmodel", "solvers") for init in (ROOT / name).rglob("__init__.py")
+    ]
+    assert sorted([*listed, "opfmodel"]) == sorted(p.relative_to(ROOT).as_posix() for p in packages)
+
+
 def test_the_example_of_the_scenario_page_is_a_scenario(tmp_path: Path) -> None:
     (tmp_path / "my-case.m").write_text((ROOT / "tests/data/matpower/case5.m").read_text())
     block, _ = blocks(ROOT / "docs" / "scenarios.md", "yaml")
