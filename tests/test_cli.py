@@ -60,7 +60,7 @@ def test_solve_a_scenario(call: Call) -> None:
     assert json.loads(out)["rows"] < 120
 
 
-def test_a_problem_without_solution_ends_with_1(call: Call, tmp_path: Path) -> None:
+def test_an_infeasible_problem_ends_with_1(call: Call, tmp_path: Path) -> None:
     text = CASE5.read_text().replace("factor: 1.06", "factor: 3.0")
     path = tmp_path / "heavy.yaml"
     path.write_text(text.replace("generator_delay: 1", "generator_delay: 0"))
@@ -240,7 +240,7 @@ def test_no_escape_reaches_the_terminal(call: Call, arguments: tuple) -> None:
     assert not out or "error" in json.loads(out)
 
 
-def test_names_in_tables_are_text_not_markup(capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_in_tables_are_not_markup(capsys: pytest.CaptureFixture[str]) -> None:
     costs = dict.fromkeys(("J_e", "J_s", "J_t", "J_b"))
     comparisons([Comparison("[/red]a\x1b[1m", costs, {}, {})])
     assert "[/red]a\\x1b[1m" in capsys.readouterr().out
@@ -253,7 +253,7 @@ def test_all_printing_passes_one_function() -> None:
     assert all("print(visible(" in line for line in printing)
 
 
-def test_an_encoding_without_a_letter_is_no_failure(tmp_path: Path) -> None:
+def test_a_letter_missing_from_the_encoding_is_escaped(tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(f"name: Łódź\n{WEAK}", encoding="utf-8")
     done = subprocess.run(
@@ -272,14 +272,14 @@ def test_solver_options_that_are_refused_are_bad_input(call: Call) -> None:
     assert "no_such" in err
 
 
-def test_a_folder_that_cannot_be_written_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(call: Call, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     code, _, err = call("run", CASE5, *SHORT, "--out", tmp_path / "file")
     assert code == 2
     assert "results cannot be written" in err
 
 
-def test_a_folder_without_a_run_is_said(call: Call, tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_reported(call: Call, tmp_path: Path) -> None:
     (tmp_path / "trajectories.nc").write_text("junk")
     code, _, err = call("plot", tmp_path)
     assert code == 2
@@ -308,7 +308,7 @@ def test_iterations_go_to_standard_error() -> None:
     assert "iter    objective" in err
 
 
-# tells on standard error when a step is done, so that the interrupt comes in the middle of the run
+# reports each step on standard error, so that the interrupt comes in the middle of the run
 TELL = """
 import opfmodel.simulation as simulation, sys
 apply = simulation.NominalPlant.apply
@@ -354,7 +354,7 @@ MultiStage.solve = banner
     [("solve", CASE14), ("solve", CASE14, "--verbose"), ("run", CASE5, *SHORT), ("table",)],
     ids=["solve", "verbose", "run", "table"],
 )
-def test_what_solvers_print_is_not_among_the_results(arguments: tuple, tmp_path: Path) -> None:
+def test_solver_output_is_kept_out_of_the_results(arguments: tuple, tmp_path: Path) -> None:
     if arguments[0] == "table":
         (tmp_path / "s.yaml").write_text(WEAK.replace("p: 300", "p: 3"))
         arguments = ("table", tmp_path / "s.yaml")
@@ -375,7 +375,7 @@ MultiStage.solve = solve
 
 
 @pytest.mark.parametrize("command", ["solve", "table"])
-def test_ctrl_c_is_said_and_ends_with_1(command: str) -> None:
+def test_ctrl_c_is_reported_and_ends_with_1(command: str) -> None:
     process = start(PRESS, command, CASE5)
     out, err = process.communicate()
     assert (process.returncode, out, err) == (1, "", "error: interrupted\n")
@@ -392,7 +392,7 @@ def test_help_needs_no_heavy_library() -> None:
 HEAVY = ("--set", "profiles=[{scale: {factor: 1.5}}]", "--set", "controller.generator_delay=0")
 
 
-def test_solve_says_what_is_short(call: Call) -> None:
+def test_solve_diagnoses_an_infeasible_problem(call: Call) -> None:
     arguments = ("solve", CASE5, *HEAVY, "--horizon", 2, "--on-infeasible", "elastic")
     code, out, _ = call(*arguments, "--json")
     result = json.loads(out)
@@ -406,7 +406,7 @@ def test_solve_says_what_is_short(call: Call) -> None:
     assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
 
 
-def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
+def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     short = (*HEAVY, "--set", "time.steps=2", "--set", "controller.horizon=2", "--out", tmp_path)
     code, out, _ = call("run", CASE5, *short, "--on-infeasible", "elastic", "--json")
     summary = json.loads(out)
@@ -418,7 +418,7 @@ def test_run_goes_on_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     assert (code, "--on-infeasible pray: must be stop or elastic" in err) == (2, True)
 
 
-def test_prices_of_shortages_are_keys_of_a_scenario(call: Call, tmp_path: Path) -> None:
+def test_penalty_prices_are_keys_of_a_scenario(call: Call, tmp_path: Path) -> None:
     weak = tmp_path / "weak.yaml"
     weak.write_text(
         "network:\n  buses: {a: {}, b: {}}\n  branches: {l: {from_bus: a, to_bus: b, r: 0, x: 0.1, rating: 50}}\n"

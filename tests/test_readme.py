@@ -1,4 +1,4 @@
-"""What the documentation says was run: here it is run again."""
+"""The code of the documentation runs, and its tables match the code."""
 
 from __future__ import annotations
 
