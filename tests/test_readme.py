@@ -1,19 +1,25 @@
-"""What the documentation says was run: here it is run again."""
+"""The code of the documentation runs, and its tables match the code."""
 
 from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Iterator
 from dataclasses import MISSING, Field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from conftest import ROOT, SCENARIOS
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 import opfmodel as om
 from opfmodel.network import Component
 from opfmodel.network.components import BUILT_IN
+from opfmodel.plugins.catalogue import catalogue
+from opfmodel.scenario.declarations import Declarations
+from opfmodel.scenario.schema import ScenarioFile
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
@@ -117,6 +123,62 @@ def default_of(item: Field[Any]) -> str:
 
 def test_the_scenario_page_has_the_fields_of_the_components() -> None:
     assert fields_of_components() in (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+
+
+def rows_of(page: Path, *headings: str) -> list[list[str]]:
+    """The cells of all tables of a page that begin with these columns."""
+    text = page.read_text(encoding="utf-8")
+    begin = re.escape(f"| {' | '.join(headings)} |")
+    bodies = re.findall(rf"^{begin}.*\n\| ---.*\n((?:\|.*\n)+)", text, flags=re.MULTILINE)
+    lines = [line for body in bodies for line in body.splitlines()]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+
+
+def words(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """The dotted keys of a schema; of a section those inside, and its own if it can be something else."""
+    for name, item in model.model_fields.items():
+        kinds = [k for k in (item.annotation, *get_args(item.annotation)) if k is not type(None)]
+        sections = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+        for section in sections:
+            yield from keys(section, f"{prefix}{name}.")
+        if not sections or str in kinds:
+            yield f"{prefix}{name}", item
+
+
+def test_the_scenario_page_has_every_key_with_its_default() -> None:
+    rows = rows_of(ROOT / "docs" / "scenarios.md", "key", "type", "unit", "default")
+    defaults = {key: row[3] for row in rows for key in words(row[0])}
+    for key, item in keys(ScenarioFile):
+        assert key in defaults
+        if item.is_required():
+            assert defaults[key].startswith("required"), key
+        elif isinstance(item.default, bool | int | float | str) and item.default != "":
+            shown = str(item.default).lower() if isinstance(item.default, bool) else f"{item.default}"
+            assert defaults[key].strip("`") == shown.removesuffix(".0"), key
+    sections = {*Declarations._OWN, *(kind.plural for kind in BUILT_IN)}
+    assert {f"network.{section}" for section in sections} <= set(defaults)
+
+
+@pytest.mark.parametrize("sort", ["profile", "objective", "forecast", "plant"])
+def test_the_scenario_page_has_every_option_of_the_plugins_with_its_default(sort: str) -> None:
+    found: dict[str, dict[str, str]] = {}
+    for names, options, _, _, default, _ in rows_of(
+        ROOT / "docs" / "scenarios.md", {"profile": "rule"}.get(sort, sort), "option"
+    ):
+        name = next(iter(words(names)), None) or list(found)[-1]
+        found.setdefault(name, {}).update(dict.fromkeys(words(options), default.strip("`")))
+    known = {e.name: e.options for e in catalogue() if (e.sort, e.origin) == (sort, "opfmodel")}
+    assert set(found) == set(known)
+    for name, options in known.items():
+        stated = dict(option.partition("=")[::2] for option in options)
+        assert set(found[name]) == set(stated), name
+        for option, default in stated.items():
+            if default != "null":  # the page says in words what it means
+                assert found[name][option] == (default or "required"), f"{name}: {option}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -861,7 +861,7 @@ def test_the_command_prints_counts_and_a_table(folder: Path) -> None:
     }
     code, out, err = finish(*run)
     assert (code, err) == (0, "")
-    assert "runs    6: 0 done, 0 failed, 6 done before" in out
+    assert "runs    6: 0 done, 0 failed, 6 skipped" in out
     code, out, err = finish("table", folder / "out", "--json")
     assert [row["cost"] for row in json.loads(out)["rows"]] == pytest.approx([600, 700] * 3)
     code, out, err = finish("table", folder / "out")

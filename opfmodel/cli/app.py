@@ -1,4 +1,4 @@
-"""All commands by name, and what becomes of their errors."""
+"""The commands by name, and how their errors are reported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from opfmodel.errors import OpfmodelError
 __all__ = ["app", "main"]
 
 app = typer.Typer(
-    help="Declarative multi-stage AC optimal power flow with storage, in receding horizon.",
+    help="Multi-stage AC optimal power flow with storage, in receding horizon.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -29,19 +29,19 @@ app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
 
-study_app = typer.Typer(help="Run one scenario under many variations, and compare.", no_args_is_help=True)
+study_app = typer.Typer(help="Run and tabulate parameter studies.", no_args_is_help=True)
 app.add_typer(study_app, name="study")
 study_app.command("run")(study.run)
 study_app.command("table")(study.table)
 
-_CTRL_C = 130  # what Typer makes of it
+_CTRL_C = 130  # exit status of Typer
 
 
 def main() -> NoReturn:
-    """Run the command line; a mistake in the input is one line on standard error and exit status 2."""
+    """Run the command line; an error in the input is one line on standard error and exit status 2."""
     as_json = "--json" in sys.argv[1:]
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error: a name is no reason to stop
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
     warnings.showwarning = show_warning
     try:
         code = app(standalone_mode=False)
@@ -60,10 +60,10 @@ def main() -> NoReturn:
 
 
 def _mistake(error: Exception) -> str | None:
-    """What to tell the user about an error that is his, None for one that is ours."""
+    """The message of a user's error; None for a fault of the program."""
     if isinstance(error, OpfmodelError):
         return str(error)
-    if hasattr(error, "format_message"):  # usage of the command line itself
+    if hasattr(error, "format_message"):  # wrong usage of the command line
         return str(error.format_message())
     from solvers import SolverError
 

@@ -1,4 +1,4 @@
-"""What is in a file, and what is installed; nothing is solved."""
+"""Commands that solve nothing: validate a file, list what is installed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ __all__ = ["list_plugins", "validate"]
 
 
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
-    """Check a scenario with its variants, a study or a network file without solving anything."""
+    """Check a scenario, study or network file without solving it.
+
+    A scenario is checked with each of its variants unless one is given.
+    """
     from opfmodel.network.arrays import per_unit
     from opfmodel.scenario.document import read_document
 
@@ -55,7 +58,7 @@ def _validate_study(file: Path, as_json: bool) -> int:
 
 
 def list_plugins(json_: JSON = False) -> int:
-    """List what is installed, from objectives to back ends, with origins and options."""
+    """List installed plugins with their origin and options."""
     from opfmodel.plugins.catalogue import catalogue
 
     entries = catalogue()

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -10,23 +10,21 @@ import typer
 __all__ = ["FILE", "JSON", "ON_INFEASIBLE", "OUT", "SCENARIO", "SET", "VARIANT", "VERBOSE"]
 
 FILE = Annotated[
-    Path, typer.Argument(help="A network file (MATPOWER .m, PSS/E .raw, ...) or a scenario (.yaml).")
+    Path, typer.Argument(help="Network file (MATPOWER .m, PSS/E .raw, ...) or scenario file (.yaml).")
 ]
-SCENARIO = Annotated[Path, typer.Argument(help="A scenario file (.yaml).")]
-OUT = Annotated[Path | None, typer.Option(help="Folder of the results; results/NAME by default.")]
-JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
-VERBOSE = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Show the solver's iterations on standard error.")
-]
-VARIANT = Annotated[str | None, typer.Option(help="A variant of the scenario.")]
+SCENARIO = Annotated[Path, typer.Argument(help="Scenario file (.yaml).")]
+OUT = Annotated[Path | None, typer.Option(help="Results folder; results/NAME by default.")]
+JSON = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+VERBOSE = Annotated[bool, typer.Option("--verbose", "-v", help="Print solver iterations on standard error.")]
+VARIANT = Annotated[str | None, typer.Option(help="Variant of the scenario.")]
 SET = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scenario: controller.horizon=24."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a dotted scenario key; repeatable."),
 ]
 ON_INFEASIBLE = Annotated[
     str | None,
     typer.Option(
         metavar="stop|elastic",
-        help="When a problem has no solution: stop, or let limits give way at a price.",
+        help="If a problem is infeasible: stop, or soften its limits at penalty prices.",
     ),
 ]

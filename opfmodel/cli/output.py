@@ -1,4 +1,4 @@
-"""The one place that prints: results on standard output, everything else on standard error."""
+"""The one module that prints: results on standard output, everything else on standard error."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ def print_line(line: str) -> None:
 
 
 def remark(line: str) -> None:
-    """Print a line that is no result: an error, a warning, a note."""
+    """Print an error, a warning or a note."""
     print(visible(line), file=sys.stderr)  # noqa: T201
 
 
 def print_notes(notes: Sequence[str]) -> None:
-    """Print what was left out or chosen."""
+    """Print notes on what was left out of a network or chosen for it."""
     for note in notes:
         remark(f"note: {note}")
 
 
 def show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Print a warning that is for the user; those of libraries for their programmers are not."""
+    """Print a warning of opfmodel; those of libraries address developers and are dropped."""
     if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
         remark(f"warning: {message}")
 
@@ -53,7 +53,7 @@ def print_json(result: Mapping[str, Any]) -> None:
     from opfmodel.results.store import finite
 
     text = json.dumps(finite(result), allow_nan=False)
-    print_line(text.replace("\x7f", "\\u007f"))  # DEL is the one control character that is written as it is
+    print_line(text.replace("\x7f", "\\u007f"))  # DEL is the one control character left as it is
 
 
 def print_pairs(pairs: Mapping[str, str]) -> None:
@@ -71,9 +71,9 @@ def print_table(
     Parameters
     ----------
     numbers
-        Whether all columns but the first hold numbers, which stand to the right.
+        Whether all columns but the first hold numbers, which are right-aligned.
     prose
-        Whether the last column holds sentences, which are wrapped where the terminal ends.
+        Whether the last column holds sentences, which wrap at the width of the terminal.
     """
     from rich.console import Console
     from rich.table import Table
@@ -89,7 +89,7 @@ def print_table(
             no_wrap=not wrapped,
         )
     for row in rows:
-        # square brackets in a cell are no markup
+        # square brackets in a cell are not markup
         table.add_row(*(Text("\n".join(map(visible, cell.splitlines()))) for cell in row))
     with console.capture() as captured:
         console.print(table)
@@ -99,9 +99,9 @@ def print_table(
 
 @contextmanager
 def solver_output(verbose: bool) -> Iterator[None]:
-    """Keep what a solver prints from standard output, which holds results alone; verbose shows it as errors.
+    """Keep solver output off standard output, which is for results; if verbose, print it on standard error.
 
-    Libraries write to the file descriptor, past Python's own stream.
+    Libraries write to the file descriptor, bypassing Python's stream.
     """
     sys.stdout.flush()
     kept = os.dup(1)
@@ -118,6 +118,6 @@ def solver_output(verbose: bool) -> Iterator[None]:
 
 
 def _flush_libraries() -> None:
-    """Write out what C libraries have buffered, while it still goes where it should."""
-    with suppress(OSError, TypeError):  # where the C library cannot be named, it is not buffered
+    """Flush the buffers of C libraries while their output is still redirected."""
+    with suppress(OSError, TypeError):  # where CDLL(None) fails, nothing is buffered
         ctypes.CDLL(None).fflush(None)

@@ -1,4 +1,4 @@
-"""The files that are named on the command line, with what its options change in them."""
+"""Reading the files named on the command line, with the overrides of its options."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["check_on_infeasible", "is_scenario", "read_network_file", "read_scen
 
 
 def is_scenario(file: Path) -> bool:
-    """Whether a file is a scenario or study, by its name; else it is a network."""
+    """Whether the suffix of a file is that of a scenario or study; any other file is a network."""
     return file.suffix.lower() in (".yaml", ".yml")
 
 
@@ -27,23 +27,23 @@ def read_scenario(
     overrides: list[str] | None = None,
     changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    """A scenario with the values of ``--set``, and those of other options, by key."""
+    """Read a scenario with the overrides of ``--set`` and of other options, by key."""
     from opfmodel.data.yaml import parse
     from opfmodel.scenario import load_scenario
 
     if isinstance(file, Path) and not is_scenario(file):
-        raise OpfmodelError(f"{file}: a scenario file ends in .yaml")
+        raise OpfmodelError(f"{file}: is not a scenario file; its name must end in .yaml or .yml")
     values: dict[str, Any] = {}
     for item in overrides or []:
         key, equals, text = item.partition("=")
         if not equals or not key:
-            raise OpfmodelError(f"--set {item}: write KEY=VALUE, for instance controller.horizon=24")
+            raise OpfmodelError(f"--set {item}: must be KEY=VALUE, such as controller.horizon=24")
         values[key], _ = parse(text, f"--set {key}")
     return load_scenario(file, variant, {**values, **(changes or {})})
 
 
 def read_network_file(file: Path, default_cost: float | None) -> Network:
-    """A network, with the cost in $/MWh of generators for which its file has none."""
+    """Read a network; generators without cost data take the default cost, $/MWh."""
     from opfmodel.network.cases import read_network
     from opfmodel.network.costs import Polynomial
 
@@ -53,6 +53,6 @@ def read_network_file(file: Path, default_cost: float | None) -> Network:
 
 
 def check_on_infeasible(value: str | None) -> None:
-    """Raise an error for a value that ``--on-infeasible`` does not have."""
+    """Raise an error for a value that ``--on-infeasible`` does not accept."""
     if value not in (None, "stop", "elastic"):
         raise OpfmodelError(f"--on-infeasible {value}: must be stop or elastic")

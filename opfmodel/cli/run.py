@@ -1,4 +1,4 @@
-"""Closed loops: run one, compare several, draw what came out."""
+"""Commands for closed loops: run, compare, plot."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ def run(
     on_infeasible: ON_INFEASIBLE = None,
     json_: JSON = False,
     verbose: VERBOSE = False,
-    figures: Annotated[bool, typer.Option(help="Draw the figure of the whole system.")] = True,
+    figures: Annotated[bool, typer.Option(help="Save a figure of the whole system.")] = True,
 ) -> int:
-    """Run the closed loop of a scenario; save trajectories, a summary and a figure."""
+    """Run the closed loop of a scenario.
+
+    Writes trajectories, a summary and a figure to the results folder.
+    """
     from opfmodel.check import check
     from opfmodel.results import save
     from opfmodel.results.figures import save_figures
@@ -64,7 +67,11 @@ def table(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")] = False,
     json_: JSON = False,
 ) -> int:
-    """Compare economic control with single-stage optima and with tracking: J_e, J_s, J_t, J_b."""
+    """Compare the costs J_e, J_s, J_t and J_b of scenarios.
+
+    J_e, J_t and J_b are closed-loop costs of the scenario and of its variants setpoint-tracking and
+    state-of-charge-tracking; J_s is the cost of its single-stage optima.
+    """
     from opfmodel.study import comparison
 
     def say(what: str) -> None:
@@ -72,7 +79,7 @@ def table(
             remark(what)
 
     for path in scenarios:
-        read_scenario(path)  # so that a mistake in any file is said before hours of work
+        read_scenario(path)  # report an error in any file before hours of work
     with solver_output(False):
         compared = [comparison.compare(path, say) for path in scenarios]
     if json_:
@@ -89,12 +96,15 @@ def table(
 
 
 def plot(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    bus: Annotated[list[str] | None, typer.Option(help="A bus to show; repeat for several.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of the figures; the run's by default.")] = None,
+    folder: Annotated[Path, typer.Argument(help="Results folder of a run.")],
+    bus: Annotated[list[str] | None, typer.Option(help="Bus to plot; repeatable.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures; the run's by default.")] = None,
     json_: JSON = False,
 ) -> int:
-    """Draw the figures of a run: the system, the demand and single buses, as PDF and PNG."""
+    """Plot a run: the system, the demand and single buses.
+
+    Figures are saved as PDF and PNG.
+    """
     from opfmodel.results import load
     from opfmodel.results.figures import save_figures
 

@@ -1,4 +1,4 @@
-"""What each command says of its result."""
+"""How each command prints its result."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 __all__ = ["comparisons", "entries", "plan", "run", "study_outcome", "study_table"]
 
 _TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
-_ELASTIC = "--on-infeasible elastic says what is lacking, where and when"
+_ELASTIC = "hint: --on-infeasible elastic reports which limits cannot be met, where and when"
 
 
 def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: bool) -> None:
-    """Print the figures of a plan, and what it lacks.
+    """Print the results of a plan, and the diagnosis of an infeasible problem.
 
     Parameters
     ----------
     elastic
-        Whether the user asked what is lacking.
+        Whether the user asked for the diagnosis.
     """
     problem, solution = solved.problem, solved.solution
     size = solution.program
@@ -50,12 +50,12 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
 
 
 def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Path, elastic: bool) -> None:
-    """Print the figures of a closed loop, and what its plans lacked.
+    """Print the results of a closed loop, and the diagnoses of its infeasible problems.
 
     Parameters
     ----------
     elastic
-        Whether limits were to give way where a problem has no solution.
+        Whether infeasible problems were solved with soft limits.
     """
     violation, cost = summary["max_violation"], summary["cost"]
     mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
@@ -65,9 +65,9 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
             "scenario": summary["scenario"],
             "status": "done" if done.status == "done" else f"{done.status}: {done.termination}",
             "cost": "none" if cost is None else f"{cost:,.2f} $ in {summary['steps']} steps",
-            "solve time": f"{mean:.3f} s mean, {largest:.3f} s largest",
+            "solve time": f"{mean:.3f} s mean, {largest:.3f} s maximum",
             "iterations": _count(summary["iterations_mean"], "mean"),
-            "max violation": "none checked" if violation is None else f"{violation:.1e} p.u.",
+            "max violation": "not checked" if violation is None else f"{violation:.1e} p.u.",
             **({} if report is None else _exceeded(report)),
             **_measured(summary),
             **_unchecked(summary["unchecked"]),
@@ -93,15 +93,15 @@ def entries(catalogue: list[Entry]) -> None:
         (e.sort, e.name, e.origin, f"{e.summary}\n  {', '.join(e.options)}" if e.options else e.summary)
         for e in catalogue
     ]
-    print_table(["sort", "name", "origin", "what it is and its options"], lines, prose=True)
+    print_table(["kind", "name", "origin", "description and options"], lines, prose=True)
 
 
 def study_outcome(name: str, outcome: Outcome) -> None:
-    """Print how far a study has come."""
-    counts = {"done": outcome.done, "failed": outcome.failed, "done before": outcome.skipped}
+    """Print the progress of a study."""
+    counts = {"done": outcome.done, "failed": outcome.failed, "skipped": outcome.skipped}
     if outcome.waiting:
         counts["waiting"] = outcome.waiting
-    status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "not all done"
+    status = "interrupted" if outcome.interrupted else "done" if outcome.complete else "incomplete"
     for failed, error in outcome.failures.items():
         remark(f"failed: {failed}: {error}")
     print_pairs(
@@ -116,49 +116,51 @@ def study_outcome(name: str, outcome: Outcome) -> None:
 
 
 def study_table(rows: list[dict[str, Any]], columns: list[str]) -> None:
-    """Print some columns of a study's results."""
+    """Print selected columns of the table of a study."""
     print_table(columns, [[_cell(row[name]) for name in columns] for row in rows])
 
 
-def _diagnosis(sentences: list[str], label: str = "lacking") -> None:
+def _diagnosis(sentences: list[str], label: str = "diagnosis") -> None:
     for sentence in sentences:
         print_line(f"{label}: {sentence}")
 
 
 def _count(iterations: float | None, what: str) -> str:
-    """Iterations as text; a solver that does not tell them has none."""
-    return f"no {what} told" if iterations is None else f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
+    """Iterations as text; some solvers do not report them."""
+    if iterations is None:
+        return f"{what} not reported"
+    return f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
 
 
 def _verified(report: Report) -> dict[str, str]:
-    """The lines of what the independent check found in a plan."""
+    """The lines on what the independent check found in a plan."""
     worst = report.worst
     place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
     return {"max violation": f"{'none' if worst is None else worst}{place}", **_unchecked(report.unchecked)}
 
 
 def _unchecked(what: Iterable[str]) -> dict[str, str]:
-    """The line that says what the independent check could not verify, if there is anything."""
-    said = "; ".join(what)
-    return {"not checked": said} if said else {}
+    """The line that names what the independent check could not verify, if anything."""
+    listed = "; ".join(what)
+    return {"not checked": listed} if listed else {}
 
 
 def _exceeded(report: Report) -> dict[str, str]:
-    """The line that names the worst violation, if it is more than solvers leave."""
+    """The line that locates the worst violation, if it exceeds what solvers leave."""
     worst = report.worst
     if worst is None or worst.relative <= _TOLERATED:
         return {}
-    return {"limits exceeded": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
+    return {"worst violation": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
 
 
 def _measured(summary: Mapping[str, Any]) -> dict[str, str]:
-    """What the plant found, in words; nothing of a nominal plant."""
+    """The lines on what the plant measured, if anything."""
     named = {"redispatched_mwh": "redispatched", "shed_mwh": "shed", "curtailed_mwh": "curtailed"}
     shown = {word: f"{summary[key]:,.2f} MWh" for key, word in named.items() if key in summary}
     if "violated_steps" in summary:
         shown["limits"] = f"exceeded in {summary['violated_steps']} of {summary['steps']} steps"
     if summary.get("unsolved_steps"):
-        shown["no state found"] = f"in {summary['unsolved_steps']} steps"
+        shown["unsolved"] = f"{summary['unsolved_steps']} of {summary['steps']} steps"
     return shown
 
 

@@ -1,4 +1,4 @@
-"""One problem."""
+"""The command that solves one problem."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["solve"]
 def solve(
     file: FILE,
     formulation: Annotated[
-        str | None, typer.Option(help="Formulation: ac, ...; 'opfmodel list' shows all.")
+        str | None, typer.Option(help="Formulation, such as ac or dc; see 'opfmodel list'.")
     ] = None,
-    solver: Annotated[str | None, typer.Option(help="Back end or solver: auto, ipopt, ...")] = None,
+    solver: Annotated[str | None, typer.Option(help="Back end or solver, such as auto or ipopt.")] = None,
     horizon: Annotated[int | None, typer.Option(help="Number of stages.")] = None,
     default_cost: Annotated[
-        float | None, typer.Option(help="Cost in $/MWh of generators for which a network file has none.")
+        float | None, typer.Option(help="Cost in $/MWh of generators without cost data in a network file.")
     ] = None,
     variant: VARIANT = None,
     set_: SET = None,
@@ -37,7 +37,10 @@ def solve(
     json_: JSON = False,
     verbose: VERBOSE = False,
 ) -> int:
-    """Solve one problem: of a network file its optimal power flow, of a scenario the first plan."""
+    """Solve one optimal power flow.
+
+    A scenario is solved for the first plan of its controller, with a perfect forecast.
+    """
     from opfmodel.check import check
 
     check_on_infeasible(on_infeasible)
@@ -85,7 +88,7 @@ def _problem(
     variant: str | None,
     overrides: list[str] | None,
 ) -> tuple[MultiStage, Mapping[str, Any] | None, Elastic | None]:
-    """The problem of a file, the state that it starts from, and prices at which its limits give way."""
+    """The problem of a file, its initial state and the penalty prices of its elastic twin."""
     from opfmodel.plan import MultiStage
 
     if is_scenario(file):
@@ -93,5 +96,5 @@ def _problem(
         scenario = read_scenario(file, variant, overrides, changes)
         return scenario.problem, scenario.initial(), scenario.elastic
     if variant is not None or overrides:
-        raise OpfmodelError(f"{file}: --variant and --set are for scenario files (.yaml)")
+        raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
     return MultiStage(read_network_file(file, default_cost), **chosen), None, None

@@ -1,4 +1,4 @@
-"""One scenario under many variations."""
+"""Commands for studies."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ __all__ = ["run", "table"]
 
 
 class Retry(StrEnum):
-    """Which recorded runs of a study are repeated."""
+    """Which recorded runs of a study to repeat."""
 
     FAILED = "failed"
     ALL = "all"
 
 
 def run(
-    study: Annotated[Path, typer.Argument(help="A study file (.yaml).")],
+    study: Annotated[Path, typer.Argument(help="Study file (.yaml).")],
     out: OUT = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            help="Worker processes on this machine; 0: in this process. By default one per processor."
+            help="Worker processes on this machine, by default one per processor; 0 uses this process."
         ),
     ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler to use.")] = None,
-    memory: Annotated[str | None, typer.Option(help="What each local worker may use, such as 2GiB.")] = None,
-    retry: Annotated[Retry | None, typer.Option(help="Repeat the runs that failed, or all.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler.")] = None,
+    memory: Annotated[str | None, typer.Option(help="Memory limit of a local worker, such as 2GiB.")] = None,
+    retry: Annotated[Retry | None, typer.Option(help="Repeat failed runs, or all runs.")] = None,
     json_: JSON = False,
 ) -> int:
-    """Make the runs of a study that its folder does not have yet."""
+    """Run a study; recorded runs are skipped."""
     from opfmodel.errors import ProfileWarning
     from opfmodel.study import read_study, run_study
 
-    warnings.simplefilter("ignore", ProfileWarning)  # a study may shorten its scenarios: "validate" says it
+    warnings.simplefilter("ignore", ProfileWarning)  # studies may shorten scenarios; "validate" reports it
 
     loaded = read_study(study)
     with solver_output(False):
@@ -64,13 +64,13 @@ def run(
 
 
 def table(
-    folder: Annotated[Path, typer.Argument(help="Folder of a study.")],
+    folder: Annotated[Path, typer.Argument(help="Results folder of a study.")],
     column: Annotated[
-        list[str] | None, typer.Option(help="A column to show; repeat for several. By default all figures.")
+        list[str] | None, typer.Option(help="Column to print; repeatable. All results by default.")
     ] = None,
     json_: JSON = False,
 ) -> int:
-    """Print the results of a study side by side; also of one that is not finished."""
+    """Print the results of a study, finished or not."""
     from opfmodel.study import read_table, shown_columns
 
     rows = read_table(folder)

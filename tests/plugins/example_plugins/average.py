@@ -1,4 +1,4 @@
-"""Expecting the average of what was seen."""
+"""The average of past values."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ __all__ = ["Average"]
 
 
 class Average(Forecast):
-    r"""The mean of the last values that were observed, for all steps ahead.
+    r"""The mean of the last observed values, for all steps ahead.
 
     .. math::
         \hat d(t + h) = \frac{1}{n} \sum_{i=1}^{n} d(t - i), \qquad n = \min(\mathrm{window}, t)
 
-    Before anything was observed it is the first value.
+    Before the first observation, it is the first value.
 
     Parameters
     ----------
     window
-        Number of values.
+        Maximum number of values.
     """
 
     def __init__(self, window: int = 24) -> None:
@@ -32,7 +32,7 @@ class Average(Forecast):
         self.window = window
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
-        """The mean, as often as there are stages."""
+        """The mean, repeated for every stage."""
         expected = part(actual, time, stages)
         for key, values in actual.items():
             if key.field in FORECAST_FIELDS:

@@ -1,4 +1,4 @@
-"""A price of emissions."""
+"""A price on emissions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Emissions"]
 
 
 class Emissions(Objective):
-    r"""Price of what generators emit above a limit.
+    r"""Price on the emissions of generators above a limit.
 
     .. math::
         \ell = \pi \max\Bigl(0, \sum_g f_g p^g - \bar m\Bigr)
@@ -23,11 +23,11 @@ class Emissions(Objective):
     Parameters
     ----------
     factors
-        Emissions :math:`f_g` in t/MWh by name of the generator; others emit nothing.
+        Emission factors :math:`f_g` in t/MWh by generator name; zero for all others.
     price
-        :math:`\pi` in $/t.
+        Price :math:`\pi` in $/t.
     limit
-        :math:`\bar m` in t/h.
+        Limit :math:`\bar m` in t/h.
     """
 
     needs = ("pg",)
@@ -38,7 +38,7 @@ class Emissions(Objective):
         self.limit = limit
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Price of the emissions above the limit, $/h."""
+        """Price on the emissions above the limit, $/h."""
         names = stage.network.generator.names
         for name in self.factors:
             if name not in names:

@@ -14,22 +14,22 @@ __all__ = ["Fleet", "FleetDevice"]
 
 @dataclass(frozen=True)
 class Fleet(Component):
-    """Vehicles that charge at one bus.
+    """Electric vehicles that charge at one bus.
 
     Parameters
     ----------
     bus
         Name of its bus.
     power
-        Largest charging power, MW; a time series that is zero while the vehicles are away.
+        Maximum charging power, MW; a time series that is zero while the vehicles are away.
     energy, energy_min
-        Capacity and least energy, MWh; a time series of the latter is what departures need.
+        Maximum and minimum energy, MWh; a series of the minimum states what departures require.
     driving
-        Power used on the road, MW, usually a time series.
+        Power consumed on the road, MW; usually a time series.
     initial
-        Energy at the start, MWh.
+        Initial energy, MWh.
     wear
-        Cost of charging, $/MWh.
+        Cost of battery wear, $/MWh charged.
     """
 
     kind: ClassVar[str] = "fleet"
@@ -46,7 +46,7 @@ class Fleet(Component):
 
 
 class FleetDevice(Device):
-    r"""Vehicles that charge, drive and depart with enough energy.
+    r"""Fleets that charge, drive and depart with enough energy.
 
     .. math::
         e(k+1) = e(k) + \Delta (p^c(k) - p^d(k)), \quad 0 \le p^c \le power, \quad

@@ -25,11 +25,11 @@ class Inexact(PowerFlow):
     Parameters
     ----------
     deviation
-        :math:`\sigma`, as a share of the set-point.
+        Standard deviation :math:`\sigma`, as a share of the set-point.
     seed
-        Of the random numbers.
+        Seed of the random numbers.
     participation
-        Factor of each generator in the slack; by default in proportion to ``p_max``.
+        Participation factors of generators in the slack; in proportion to ``p_max`` by default.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Inexact(PowerFlow):
         self.seed = seed
 
     def aims(self, plan: Plan, planned: Values) -> Values:
-        """The set-points with their errors."""
+        """The set-points with random errors."""
         rng = np.random.default_rng([self.seed, plan.time])
         missed = {}
         for key in (("generator", "pg"), ("storage", "ps")):

@@ -13,7 +13,7 @@ __all__ = ["LinDistFlow"]
 
 
 class LinDistFlow(Formulation):
-    r"""Lossless power flow of radial grids in squared voltages; linear, conic where there are ratings.
+    r"""Lossless power flow of radial grids in squared voltages; linear, or conic with ratings.
 
     .. math::
         w_t = w_f / \tau^2 - 2 (r p_f + x q_f), \quad p_t = -p_f, \quad q_t = -q_f, \quad

@@ -41,7 +41,7 @@ class LinProg:
 
 
 class Session:
-    """A program as matrices, of which the next instance changes vectors only."""
+    """A program as matrices; a new instance changes only vectors."""
 
     def __init__(self, program: Program, solver: str, options: dict[str, Any]) -> None:
         self._evaluator = Evaluator(program)
@@ -49,13 +49,13 @@ class Session:
         self._solver, self._options = solver, options
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
-        """Solve; HiGHS takes no start through SciPy."""
+        """Solve; SciPy passes no starting point to HiGHS."""
         form = standard_form(self._maker.at(instance))
         bounds = np.column_stack([form.lb, form.ub])
         began = time.perf_counter()
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error", OptimizeWarning)  # it warns of an option that it does not know
+                warnings.simplefilter("error", OptimizeWarning)  # its warning of unknown options
                 found = linprog(
                     form.q, form.g, form.h, form.a, form.b, bounds, self._solver, options=self._options
                 )
@@ -65,9 +65,8 @@ class Session:
         termination, status = _STOPPED[found.status]
         program = self._evaluator.program
         x, lam_x, lam_g = np.zeros(form.q.size), np.zeros(form.q.size), np.zeros(program.n_rows)
-        if (
-            found.x is not None
-        ):  # SciPy's marginals are slopes of the optimum: multipliers with the sign turned
+        if found.x is not None:
+            # SciPy's marginals are slopes of the optimum: multipliers of opposite sign
             x, box = found.x, -(found.lower.marginals + found.upper.marginals)
             lam_x, lam_g = form.multipliers(-found.eqlin.marginals, -found.ineqlin.marginals, box)
         return Solution(

@@ -1,4 +1,4 @@
-"""Patterns that repeat."""
+"""Repeating patterns."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ __all__ = ["Repeat"]
 
 
 class Repeat(ProfileRule):
-    """Repeat a pattern: the same day again and again.
+    """Repeat a pattern, such as a daily profile.
 
     Parameters
     ----------
     component, field
-        Whose number it is, for instance the ``driving`` of a fleet.
+        Component and field of the series, such as the ``driving`` of a fleet.
     values
         The pattern, in the physical unit of the field.
     """
@@ -31,5 +31,5 @@ class Repeat(ProfileRule):
 
     def apply(self, book: Workbook) -> None:
         """Replace the series of the field."""
-        book.get(self.component, self.field)  # says what is wrong with the names
+        book.get(self.component, self.field)  # raises an error for unknown names
         book.set(self.component, self.field, np.resize(self.values, book.steps))
