@@ -183,11 +183,11 @@ def test_weights_that_do_not_fit(weights: dict, message: str) -> None:
 
 def test_options_out_of_range() -> None:
     for make, message in (
-        (lambda: om.StateOfChargeTracking(share=1.5), "share = 1.5: must lie between 0 and 1"),
-        (lambda: om.StateOfChargeTracking(weight=-1), "weight = -1: must be at least 0"),
-        (lambda: om.VoltageDeviation(weight=float("nan")), "weight = nan: must be a number"),
-        (lambda: om.LossMinimisation(price="dear"), "price = 'dear': must be a number"),
-        (lambda: -1 * om.Economic(), "weight = -1: must be at least 0"),
+        (lambda: om.StateOfChargeTracking(share=1.5), "share = 1.5: .* at least 0 and at most 1"),
+        (lambda: om.StateOfChargeTracking(weight=-1), "weight = -1: .* at least 0"),
+        (lambda: om.VoltageDeviation(weight=float("nan")), "weight = nan: must be a finite number"),
+        (lambda: om.LossMinimisation(price="dear"), "price = 'dear': must be a finite number"),
+        (lambda: -1 * om.Economic(), "weight = -1: .* at least 0"),
     ):
         with pytest.raises(ModelError, match=message):
             make()

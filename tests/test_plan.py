@@ -99,7 +99,7 @@ def test_ends_of_the_horizon() -> None:
     assert left(om.End(minimum=0.3)) == pytest.approx(60, abs=1e-3)
     assert left(om.End(price=5.0)) == pytest.approx(40, abs=1e-3)
     assert left(om.End(price=50.0)) > 140
-    with pytest.raises(ModelError, match=r"minimum = 1\.5: must be a share between 0 and 1"):
+    with pytest.raises(ModelError, match=r"minimum = 1\.5: .* at least 0 and at most 1"):
         om.End(minimum=1.5)
 
 
@@ -303,18 +303,18 @@ def test_islands_are_solved_together() -> None:
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
-        (lambda: problem(0), ModelError, "horizon = 0: must be a whole number of stages"),
+        (lambda: problem(0), ModelError, "horizon = 0: must be an integer, at least 1"),
         (lambda: problem(2.5), ModelError, r"horizon = 2\.5"),
-        (lambda: problem(step=0), ModelError, "step = 0: must be a number of hours from"),
+        (lambda: problem(step=0), ModelError, "step = 0: .* at least 1e-06 and at most 1e"),
         (lambda: problem(generator_delay=2), ModelError, "must be 0 or 1"),
         (lambda: problem(formulation="acc"), PluginError, r"no formulation 'acc'; did you mean 'ac'"),
-        (lambda: problem(step=True), ModelError, "step = True: must be a number of hours from"),
+        (lambda: problem(step=True), ModelError, "step = True: must be a finite number"),
         (lambda: problem(formulation=None), ModelError, "formulation = None: must be a name such as 'ac'"),
-        (lambda: problem(objective=om.Economic), ModelError, r"must be an objective, such as Economic\(\)"),
-        (lambda: problem(regularisation=-1), ModelError, "regularisation = -1: must be at least 0"),
-        (lambda: om.End(minimum="half"), ModelError, "minimum = 'half': must be a share"),
-        (lambda: om.End(price="5"), ModelError, r"price = '5': must be a finite number in \$/MWh"),
-        (lambda: problem().solve(-1), ModelError, "time = -1: must be a step of the profiles"),
+        (lambda: problem(objective=om.Economic), ModelError, "objective = <class .*: must be .*Objective"),
+        (lambda: problem(regularisation=-1), ModelError, "regularisation = -1: .* at least 0"),
+        (lambda: om.End(minimum="half"), ModelError, "minimum = 'half': .* at most 1"),
+        (lambda: om.End(price="5"), ModelError, "price = '5': must be a finite number"),
+        (lambda: problem().solve(-1), ModelError, "time = -1: must be an integer, at least 0"),
         (lambda: problem(2).solve(previous=problem(3).solve()), ModelError, "previous: "),
         (lambda: problem().solve(initial={"e": "full"}), ModelError, "initial e: 'full': must be one number per"),
         (lambda: problem(9).solve(), ProfileError, "has 8 values; steps 0 to 8 need 9"),

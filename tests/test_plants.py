@@ -348,7 +348,7 @@ def test_participation_names_generators() -> None:
     plan = om.MultiStage(two_bus(), formulation="dc").solve()
     with pytest.raises(ModelError, match="no generator in service is named 'cole'; did you mean 'coal'"):
         om.PowerFlow({"cole": 1.0}).apply(plan)
-    with pytest.raises(ModelError, match=r"participation: coal = -1: must be a number, at least 0"):
+    with pytest.raises(ModelError, match=r"participation: coal = -1: .* at least 0"):
         om.PowerFlow({"coal": -1})
 
 
@@ -539,7 +539,10 @@ def test_a_scenario_names_its_plant() -> None:
             {"mode": "power-flow", "price": 5.0},
             "plant.price: plant 'power-flow' has no option 'price'; available: mode, participation",
         ),
-        ({"mode": "redispatch", "price": -5.0}, "plant: redispatch: price = -5.0: must be a positive price"),
+        (
+            {"mode": "redispatch", "price": -5.0},
+            "plant: redispatch: price = -5.0: must be a finite number, above 0",
+        ),
         ({"mode": "power-flow", "participation": {"gen9": 1.0}}, "no generator in service is named 'gen9'"),
         ({"mood": "redispatch"}, "plant.mood: plant 'nominal' has no option 'mood'; did you mean 'mode'"),
     ],

@@ -215,7 +215,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("cost: {c2: 0.0010, c1: 15}", "cost: {points: [[0, 0], [1.0e-320, 1]]}", ":25:73: .*slopes must be at most"),
         ("formulation: ac", "regularisation: .inf", ":49:3: controller.regularisation: inf: input should be a finite number"),
         ("formulation: ac", "end: {price: .inf}", ":49:9: controller.end.price: inf: input should be a finite number"),
-        ("formulation: ac", "objective: [{economic: {}, weight: .inf}]", ":49:30: controller.objective.0.weight: inf: must be a number"),
+        ("formulation: ac", "objective: [{economic: {}, weight: .inf}]", ":49:30: controller.objective.0.weight: weight = inf: must be a finite number"),
         ("time: {", "time: !!python/object:os.system {", ":36:7: the tag .* is not accepted"),
         ("  buses:", "  buses: [", "not YAML"),
         ("name: case5-step", "name: a\nname: b", "not YAML: found duplicate key"),

@@ -156,6 +156,8 @@ class Model:
             How the bounds are softened in an elastic problem; by default they stay hard. Soft bounds
             become the rows ``name_limit``; the variable itself keeps at most a lower bound of zero.
         """
+        if publish:
+            self._name(name)
         table = self.network.tables[kind]
         low, high = (resolved(table, bound) for bound in (lower, upper))
         if start is None:

@@ -45,24 +45,11 @@ Array = npt.NDArray[np.float64]
 
 # What a program is compiled from; the constraints are added by a method.
 _STATED = frozenset(
-    [
-        "network",
-        "horizon",
-        "step",
-        "arrays",
-        "formulation",
-        "objective",
-        "profiles",
-        "generator_delay",
-        "end",
-        "regularisation",
-        "elastic",
-        "devices",
-        "solver",
-        "options",
-        "verbose",
-    ]
-)
+    (
+        "network", "horizon", "step", "arrays", "formulation", "objective", "profiles", "generator_delay",
+        "end", "regularisation", "elastic", "devices", "solver", "options", "verbose",
+    )
+)  # fmt: skip
 
 
 class MultiStage:
@@ -139,15 +126,17 @@ class MultiStage:
         shortest, longest = STEP_HOURS
         if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
-        for name, value, wanted in (
-            ("network", network, Network),
-            ("objective", objective, Objective | None),
-            ("end", end, End | None),
-            ("elastic", elastic, Elastic | None),
+        if not isinstance(network, Network):
+            raise ModelError(f"network = {shown(network)}: must be a Network")
+        for name, value, kind in (
+            ("objective", objective, Objective),
+            ("end", end, End),
+            ("elastic", elastic, Elastic),
         ):
-            if not isinstance(value, wanted):
-                known = wanted.__name__ if isinstance(wanted, type) else str(wanted).rpartition(".")[2]
-                raise ModelError(f"{name} = {shown(value)}: must be {known}")
+            if not (value is None or isinstance(value, kind)):
+                raise ModelError(
+                    f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
+                )
         self.network = network.copy()  # what is changed from now on is for other problems
         self.horizon = integer("horizon", horizon, at_least=1)
         self.step = number_within("step", step, at_least=shortest, at_most=longest)

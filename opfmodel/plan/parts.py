@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from opfmodel import plugins
-from opfmodel.errors import ModelError, PluginError
+from opfmodel.errors import ModelError, PluginError, shown
 from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork
@@ -29,7 +29,11 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
 def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
     """Return the devices of a network: one per kind that has components and takes part in the balance."""
     wired = ("bus", "branch", "shunt")
-    by_kind = {device.component.kind: device for device in given}
+    by_kind = {}
+    for device in given:
+        if not isinstance(device, Device):
+            raise ModelError(f"devices: {shown(device)}: must be a Device")
+        by_kind[device.component.kind] = device
     return [
         by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
         for kind, table in network.tables.items()

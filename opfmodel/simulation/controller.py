@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, listed
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
@@ -132,12 +133,13 @@ class Controller:
         if self.forecast is None:
             return None
         problem = self.problem
-        expected = self.forecast.expected(problem.profiles, time, problem.horizon)
+        expected = Profiles.of(self.forecast.expected(problem.profiles, time, problem.horizon))
         where = f"forecast {type(self.forecast).__name__} at step {time}"
         differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
         if differing:
             raise ModelError(
-                f"{where}: it must expect the series that there are and no others: {listed(differing)}"
+                f"{where}: must cover the series of the profiles and no others; differs in "
+                f"{listed(differing)}"
             )
         try:
             check_finite(expected, problem.network)
