@@ -24,8 +24,8 @@ def certified(solution: Solution) -> Solution:
     If the solver reports an optimum, the largest of primal residual, dual residual and gap decides,
     each relative to the magnitude of the quantities involved: up to 1e-4 the point is optimal, up to
     1e-3 acceptable, and above that it has no status. If it reports infeasibility, this is proven if
-    the multipliers are a certificate (see :func:`solvers.proves_infeasible`) and local otherwise. Any
-    other termination has no status.
+    the multipliers are a certificate (see :func:`solvers.proves_infeasible`). Anything else has no
+    status.
     """
     if solution.termination is TerminationCondition.INFEASIBLE:
         matrices = MatrixMaker(solution.evaluator).at(solution.instance)

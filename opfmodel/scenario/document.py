@@ -94,8 +94,6 @@ def check_name(document: Document, key: Key, name: str) -> None:
             key,
             f"{name!r}: must not be empty, consist of dots, or contain / or \\; it names the results folder",
         )
-    if fault := name_fault(name):
-        raise document.error(key, f"{name!r}: {fault}")
     if len(name.encode()) > _MOST_NAME_BYTES:
         raise document.error(
             key, f"{shown(name)}: must have at most {_MOST_NAME_BYTES} bytes; it names the results folder"

@@ -60,7 +60,7 @@ class Session:
                     form.q, form.g, form.h, form.a, form.b, bounds, self._solver, options=self._options
                 )
         except (OptimizeWarning, TypeError, ValueError) as error:
-            raise SolverOptionError(f"linprog refused its options {self._options}: {error}") from error
+            raise SolverOptionError(f"linprog rejected options {self._options}: {error}") from error
         seconds = time.perf_counter() - began
         termination, status = _STOPPED[found.status]
         program = self._evaluator.program
