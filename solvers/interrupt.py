@@ -1,4 +1,4 @@
-"""Ctrl-C during a solve stops the solver and raises ``KeyboardInterrupt``."""
+"""Ctrl-C stops whatever runs and raises ``KeyboardInterrupt``, in CasADi's calls too."""
 
 from __future__ import annotations
 
@@ -13,35 +13,53 @@ from types import FrameType
 __all__ = ["interruptible"]
 
 
-@contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """Raise ``KeyboardInterrupt`` on exit if Ctrl-C was pressed inside the block.
+class _Watch:
+    """A signal handler that remembers that it was called."""
 
-    CasADi turns the interrupt into a failed solve and a warning on standard error; this context
-    manager drops the warning and restores the interrupt. It has no effect outside the main thread,
-    as other threads receive no signals.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    pressed = []
+    def __init__(self) -> None:
+        self.pressed = False
 
-    def stop(signum: int, frame: FrameType | None) -> None:
-        pressed.append(signum)
+    def __call__(self, signum: int, frame: FrameType | None) -> None:
+        self.pressed = True
         signal.default_int_handler(signum, frame)
 
+
+@contextlib.contextmanager
+def interruptible(*, quiet: bool = False) -> Iterator[None]:
+    """Raise ``KeyboardInterrupt`` on exit if Ctrl-C was pressed inside the block.
+
+    CasADi loses the interrupt where it calls Python to convert an argument, and turns it into a
+    failed solve, or an error of another type, elsewhere. Blocks may be nested; every one restores
+    the interrupt. They have no effect outside the main thread, which alone receives signals, or
+    under a custom handler.
+
+    Parameters
+    ----------
+    quiet
+        Whether to drop what the block writes to standard error if Ctrl-C was pressed, which is
+        CasADi's warning.
+    """
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler:  # a custom handler, or ignored: leave it
+    nested = isinstance(before, _Watch)
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or not (nested or before is signal.default_int_handler):
         yield
         return
-    signal.signal(signal.SIGINT, stop)
+    watch = before if isinstance(before, _Watch) else _Watch()
     captured = io.StringIO()
+    if not nested:
+        signal.signal(signal.SIGINT, watch)
     try:
-        with contextlib.redirect_stderr(captured):
+        with contextlib.redirect_stderr(captured) if quiet else contextlib.nullcontext():
             yield
+    except Exception as error:
+        if watch.pressed:
+            raise KeyboardInterrupt from error
+        raise
     finally:
-        signal.signal(signal.SIGINT, before)
-        if not pressed:
+        if not nested:
+            signal.signal(signal.SIGINT, before)
+        if not watch.pressed:
             sys.stderr.write(captured.getvalue())
-    if pressed:
+    if watch.pressed:
         raise KeyboardInterrupt

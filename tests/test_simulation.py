@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import SCENARIOS, two_bus
@@ -125,6 +127,49 @@ def test_an_interrupt_keeps_what_was_done(monkeypatch: pytest.MonkeyPatch) -> No
     run = om.simulate(problem(3), steps=5, on_step=press)
     assert (run.status, run.termination) == ("stopped", "interrupted after 2 steps")
     assert run.data.sizes["time"] == 2
+
+
+class Lost(ca.SX):
+    """A symbol during whose conversion the user presses Ctrl-C, which CasADi swallows."""
+
+    def __DM__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+class Refused:
+    """Another, which CasADi reports as an argument of a wrong type."""
+
+    def __DM__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("late", [Lost(1), Refused()])
+def test_an_interrupt_is_not_lost_while_a_problem_is_compiled(late: object) -> None:
+    made = problem(3)
+
+    def rule(stage: om.Stage) -> object:
+        ca.jacobian(late, ca.SX.sym("x"))
+        return om.total(stage.generator.pg) >= 0
+
+    made.constrain("rule", rule)
+    with pytest.raises(KeyboardInterrupt):
+        made.solve()
+    run = om.simulate(made, steps=2)
+    assert (run.status, run.termination) == ("stopped", "interrupted after 0 steps")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_is_not_lost_while_a_plant_responds(monkeypatch: pytest.MonkeyPatch) -> None:
+    apply = om.NominalPlant.apply
+
+    def pressed(plant: om.NominalPlant, plan: om.Plan) -> object:
+        if plan.time == 1:
+            ca.jacobian(Lost(1), ca.SX.sym("x"))
+        return apply(plant, plan)
+
+    monkeypatch.setattr(om.NominalPlant, "apply", pressed)
+    run = om.simulate(problem(3), steps=5)
+    assert (run.status, run.termination) == ("stopped", "interrupted after 1 steps")
 
 
 def test_series_that_are_too_short_are_said_before_anything_is_solved() -> None:

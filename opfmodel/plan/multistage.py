@@ -38,6 +38,7 @@ from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
 from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
+from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
 
@@ -378,6 +379,7 @@ class MultiStage:
         return self._compiled[1]
 
     @cached_property
+    @interruptible()
     def _compiled(self) -> tuple[Model, Program, Session]:
         began = clock.perf_counter()
         model = self.declare()
@@ -440,6 +442,7 @@ class MultiStage:
 
     # Solving -----------------------------------------------------------------------------
 
+    @interruptible()
     def solve(
         self,
         time: int = 0,

@@ -18,6 +18,7 @@ from opfmodel.simulation.controller import Controller, OnInfeasible
 from opfmodel.simulation.plants.base import Plant
 from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
+from solvers.interrupt import interruptible
 
 __all__ = ["check_response", "simulate"]
 
@@ -89,13 +90,15 @@ def simulate(
             run.build_seconds = problem.build_seconds
             for time in range(steps):
                 began = clock.perf_counter()
-                plan = controller.plan(time, state)
+                with interruptible():
+                    plan = controller.plan(time, state)
                 run.plans.append(_record(plan, controller, clock.perf_counter() - began))
                 if not plan.optimal:
                     run.status, run.infeasible = plan.status, plan.infeasible
                     run.termination = f"step {time}: {plan.termination}"
                     break
-                step = plant.apply(plan)
+                with interruptible():
+                    step = plant.apply(plan)
                 run.steps.append(step)
                 state = step.state
                 advance()

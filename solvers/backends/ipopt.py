@@ -171,7 +171,7 @@ class IpoptSession:
         solver = self._solver(situation)
         began = time.perf_counter()
         try:
-            with interruptible():
+            with interruptible(quiet=True):
                 result = solver(**arguments)
         except RuntimeError as error:
             raise SolverError(f"{self._plugin} failed: {_reason(error)}") from error
