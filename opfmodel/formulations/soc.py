@@ -28,11 +28,11 @@ class SOC(Formulation):
     r"""Jabr's relaxation in voltage products (SOCWR); convex.
 
     The flows of :class:`opfmodel.formulations.ac.AC` are linear in :math:`w = v^2` at the buses
-    and in :math:`w_r = v_i v_j \cos\theta`, :math:`w_i = v_i v_j \sin\theta` of each pair of
+    and in :math:`w_r = v_f v_t \cos\theta`, :math:`w_i = v_f v_t \sin\theta` of each pair of
     neighbours. Of the relations between the three, only
 
     .. math::
-        w_r^2 + w_i^2 \le w_i w_j
+        w_r^2 + w_i^2 \le w_f w_t
 
     is kept, with the angle-difference limits, the bounds of the products that follow from the
     bounds of voltages and angles, and the lifted nonlinear cuts of the two. The relaxation is exact on
