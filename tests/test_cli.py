@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -279,11 +280,75 @@ def test_a_folder_that_cannot_be_written_is_reported(call: Call, tmp_path: Path)
     assert "results cannot be written" in err
 
 
+TWO_BUSES = """
+network:
+  buses: {north: {reference: true}, south: {}}
+  branches: {tie: {from_bus: north, to_bus: south, r: 0.01, x: 0.1, rating: 120}}
+  generators: {coal: {bus: north, p: [0, 200], q: [-80, 80], cost: {c1: 15}}}
+  loads: {town: {bus: south, p: 90, q: 30}}
+time: {steps: 4}
+controller: {horizon: 3}
+"""
+
+
+@pytest.fixture
+def two_buses(tmp_path: Path) -> Path:
+    path = tmp_path / "two-buses.yaml"
+    path.write_text(TWO_BUSES)
+    return path
+
+
+def on_a_full_disk(most_bytes: int, *arguments: object) -> tuple[int, str, str]:
+    """Run a command that can write small files only: exit status, standard output, standard error."""
+    done = subprocess.run(
+        [sys.executable, "-c", "from opfmodel import cli; cli.main()", *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes)),
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("most_bytes", [1_000, 4_000, 12_000, 45_000])
+def test_a_full_disk_is_reported_in_one_line(most_bytes: int, two_buses: Path, tmp_path: Path) -> None:
+    code, out, err = on_a_full_disk(most_bytes, "run", two_buses, "--out", tmp_path / "out", "--json")
+    assert code == 2
+    assert "cannot be written: File too large" in json.loads(out)["error"]
+    assert (err.startswith("error: "), err.count("\n")) == (True, 1)
+    written = [p.name for p in (tmp_path / "out").iterdir()]
+    assert sorted(written) == (["summary.json", "trajectories.nc"] if most_bytes > 40_000 else [])
+
+
+def test_figures_on_a_full_disk_are_reported_in_one_line(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    assert call("run", two_buses, "--out", tmp_path / "out", "--no-figures")[0] == 0
+    code, out, err = on_a_full_disk(4_000, "plot", tmp_path / "out", "--json")
+    assert code == 2
+    assert "figures cannot be written: File too large" in json.loads(out)["error"]
+    assert err.count("\n") == 1
+
+
+def test_the_results_folder_describes_the_last_run(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert call("run", two_buses, "--out", folder)[0] == 0
+    assert call("plot", folder)[0] == 0
+    assert call("run", two_buses, "--out", folder, "--no-figures")[0] == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["summary.json", "trajectories.nc"]
+    heavy = ("--set", "network.loads.town.p=500")
+    code, out, _ = call("run", two_buses, "--out", folder, *heavy)
+    assert (code, f"results        {folder}" in out) == (1, True)
+    assert [p.name for p in folder.iterdir()] == ["summary.json"]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["status"], summary["steps"], summary["cost"]) == ("locally_infeasible", 0, None)
+    assert call("plot", folder)[0] == 2
+
+
 def test_a_folder_without_a_run_is_reported(call: Call, tmp_path: Path) -> None:
     (tmp_path / "trajectories.nc").write_text("junk")
     code, _, err = call("plot", tmp_path)
     assert code == 2
-    assert "not a result of opfmodel" in err
+    assert "not a result of opfmodel: is not a NetCDF 4 file" in err
 
 
 def start(script: str, *arguments: object) -> subprocess.Popen[str]:

@@ -921,6 +921,8 @@ def test_a_file_size_limit_stops_the_study_and_keeps_finished_runs(folder: Path)
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
     assert finish(*run)[0] == 0
     (folder / "other.csv").write_text(DEMAND.replace("10", "15"))
+    for name in ("notes.json", f"{'0' * 32}.json"):  # neither is a finished run
+        (folder / "out" / "runs" / name).write_text("{}")
 
     def small() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # less than study.json needs

@@ -51,10 +51,9 @@ def run(
         "violations": {} if report is None else report.as_dict(),
         "unchecked": [] if report is None else list(report.unchecked),
     }
-    if done.steps:
-        summary = save(done.data, summary, folder)
-        if figures:
-            save_figures(done.data, folder, figures=["system"])
+    summary = save(done.data if done.steps else None, summary, folder)
+    if figures and done.steps:
+        save_figures(done.data, folder, figures=["system"])
     if json_:
         print_json(summary)
     else:

@@ -71,7 +71,7 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
             **({} if report is None else _exceeded(report)),
             **_measured(summary),
             **_unchecked(summary["unchecked"]),
-            "results": f"{folder}" if summary["steps"] else "none",
+            "results": str(folder),
         }
     )
     for step, sentences in summary["diagnosis"].items():

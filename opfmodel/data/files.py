@@ -24,7 +24,7 @@ MOST_BYTES = 1_000 * MB  # an hourly table of one year for ten thousand componen
 
 @contextmanager
 def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> Iterator[TextIO]:
-    """Open a UTF-8 text file; read errors inside the block are reported with the path.
+    """Open a UTF-8 text file, with or without a byte-order mark; read errors inside the block are reported with the path.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BY
     """
     descriptor = _open(path, raises, most_bytes)
     try:
-        with io.TextIOWrapper(os.fdopen(descriptor, "rb"), encoding="utf-8", newline="") as stream:
+        with io.TextIOWrapper(os.fdopen(descriptor, "rb"), encoding="utf-8-sig", newline="") as stream:
             yield stream
     except UnicodeDecodeError as error:
         raise raises(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from error

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError, nearest
-from opfmodel.results.store import replace
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "buses", "demand", "save_figures", "system"]
+__all__ = ["FIGURES", "buses", "demand", "figure_paths", "save_figures", "system"]
 
 # Okabe-Ito palette; distinct line styles keep figures readable in greyscale.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WIDTH = 7.2  # inches: the text width of a page
 _MOST_LINES = 7
+_SUFFIXES = ("pdf", "png")
 
 
 def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - same signature
@@ -127,19 +128,30 @@ def save_figures(
     ResultError
         A bus is unknown, or the folder cannot be written.
     """
-    written = []
+    written: dict[Path, bytes] = {}
     for name in figures:
         figure = FIGURES[name](data, names)
         figure.axes[0].set_title(f"{data.attrs.get('network', '')}: {name}")
-        for suffix in ("pdf", "png"):
-            path = folder / f"{name}.{suffix}"
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                replace(path, partial(figure.savefig, dpi=200, format=suffix))
-            except OSError as error:
-                raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
-            written.append(path)
-    return written
+        for path in figure_paths(folder, [name]):
+            written[path] = _drawn(figure, path.suffix.removeprefix("."))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace(written)
+    except OSError as error:
+        raise ResultError(f"{folder}: figures cannot be written: {error.strerror or error}") from error
+    return list(written)
+
+
+def figure_paths(folder: Path, figures: Iterable[str] = tuple(FIGURES)) -> list[Path]:
+    """Return the files of figures in a folder, whether they exist or not."""
+    return [folder / f"{name}.{suffix}" for name in figures for suffix in _SUFFIXES]
+
+
+def _drawn(figure: Figure, suffix: str) -> bytes:
+    """Return the file of a figure, drawn in memory: matplotlib fails with obscure errors on a full disk."""
+    stream = io.BytesIO()
+    figure.savefig(stream, dpi=200, format=suffix)
+    return stream.getvalue()
 
 
 def _figure(rows: int) -> tuple[Figure, list[Any]]:

@@ -14,6 +14,7 @@ its file name. A file that fails either test is not trusted; the run of such a r
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -24,8 +25,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from opfmodel.data.writing import remove_temporaries, replace
 from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
-from opfmodel.results import remove_temporaries, replace
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
@@ -191,9 +192,10 @@ class Store:
         """Write the table of all runs."""
         import pyarrow.parquet as pq
 
-        table = _table(self.rows()[0])
+        stream = io.BytesIO()
+        pq.write_table(_table(self.rows()[0]), stream)
         with self._writing(self.table):
-            replace(self.table, lambda path: pq.write_table(table, path))
+            replace({self.table: stream.getvalue()})
 
     @property
     def _index(self) -> Path:
@@ -209,20 +211,26 @@ class Store:
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
         text = sealed(content)
         with self._writing(path):
-            replace(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+            replace({path: text.encode()})
 
     @contextmanager
     def _writing(self, path: Path) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            kept = len(list(self._runs.glob("*.json"))) if os.path.isdir(self._runs) else 0  # noqa: PTH112 - any text
+            kept, reason = self._kept(), f"{path}: results cannot be written: {error.strerror or error}"
             raise ResultError(
-                f"{path}: results cannot be written: {error.strerror or error}; "
-                f"the {kept} finished runs in {self.folder} are kept, and the same command resumes the study"
+                f"{reason}; the {kept} finished runs in {self.folder} are kept, and the same command "
+                "resumes the study"
                 if kept
-                else f"{path}: results cannot be written: {error.strerror or error}"
+                else reason
             ) from error
+
+    def _kept(self) -> int:
+        """Return the number of trusted records in the folder, of this study or another."""
+        names = os.listdir(self._runs) if os.path.isdir(self._runs) else []  # noqa: PTH112, PTH208 - any text
+        found, _ = self.records(name.removesuffix(".json") for name in names if _RECORDS.fullmatch(name))
+        return len(found)
 
     def _owner(self) -> str:
         """Describe the process that started last, for messages."""
