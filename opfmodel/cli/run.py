@@ -35,7 +35,9 @@ def run(
     from opfmodel.results.figures import save_figures
 
     check_on_infeasible(on_infeasible)
-    changes = {} if on_infeasible is None else {"controller.on_infeasible": on_infeasible}
+    changes = (
+        {} if on_infeasible is None else {"controller.on_infeasible": ("--on-infeasible", on_infeasible)}
+    )
     loaded = read_scenario(scenario, variant, set_, changes)
     loaded.problem.verbose = verbose
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out

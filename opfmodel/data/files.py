@@ -24,7 +24,9 @@ MOST_BYTES = 1_000 * MB  # an hourly table of one year for ten thousand componen
 
 @contextmanager
 def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> Iterator[TextIO]:
-    """Open a UTF-8 text file, with or without a byte-order mark; read errors inside the block are reported with the path.
+    """Open a UTF-8 text file; read errors inside the block are reported with the path.
+
+    A byte-order mark is skipped.
 
     Parameters
     ----------

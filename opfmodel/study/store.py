@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.writing import remove_temporaries, replace
 from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
+from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
@@ -45,6 +46,14 @@ _MOST_NAMED = 10
 
 # First columns after the axes; present even before any run has finished.
 _COLUMNS = ("key", "status", "termination", "error", "cost", "steps", "max_violation", "iterations")
+
+# Columns that finished runs may add.
+_LATER = (
+    *("unchecked", "retries", "diagnosis", "iterations_mean", "elastic_steps"),
+    *("redispatched_mwh", "shed_mwh", "curtailed_mwh", "violated_steps", "unsolved_steps"),
+    *(f"largest_{name}" for name in DESCRIBED if name.endswith("_excess")),
+    *("time_build_seconds", "time_solve_seconds_mean", "time_solve_seconds_max", "time_total_seconds"),
+)
 
 
 @dataclass(frozen=True)
@@ -276,12 +285,13 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
     Raises
     ------
     ResultError
-        The table has no such column.
+        The table has no such column, and will not have it after the runs that are waiting.
     """
     names = list(rows[0])
+    known = {*names, *_LATER} if any(row["status"] == "waiting" for row in rows) else {*names}
     for name in wanted or ():
-        if name not in names:
-            raise ResultError(f"the table has no column {name!r}; {nearest(name, names)}")
+        if name not in known:
+            raise ResultError(f"the table has no column {name!r}; {nearest(name, known)}")
     if wanted:
         return list(wanted)
     aside = ("key", "termination", "diagnosis")
