@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -153,14 +154,48 @@ def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:
     assert call("validate", path, "--variant", "fine")[0] == 0
 
 
+def test_only_an_error_caused_by_an_option_cites_it(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(TWO_BUSES.replace("horizon: 3", "horizon: 0"))
+    fault = f"error: {path}:8:14: controller.horizon: 0: "
+    assert call("solve", path, "--set", "time.steps=2")[2].startswith(fault)
+    assert call("solve", path, "--set", "time.steps=0")[2].startswith("error: --set: time.steps: 0: ")
+    assert call("run", path, "--on-infeasible", "elastic")[2].startswith(fault)
+    assert call("solve", path, "--horizon", "2", "--formulation", "nosuch")[2].startswith(
+        "error: --formulation: controller.formulation: "
+    )
+
+
+@pytest.mark.parametrize("command", [(), ("study",)])
+def test_without_a_command_the_usage_is_printed(call: Call, command: tuple[str, ...]) -> None:
+    code, out, err = call(*command)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"Usage: {' '.join(['opfmodel', *command])} ")
+    lines = err.splitlines()
+    assert any(line.lstrip().startswith("run  ") for line in lines)
+    assert "\\n" not in err
+
+
+def test_the_version_is_printed(call: Call) -> None:
+    assert call("--version") == (0, f"opfmodel {version('opfmodel')}\n", "")
+
+
+def test_counts_are_written_as_words(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    linear = ("--set", "controller.formulation=dc", "--set", "controller.solver=qp:highs")
+    code, out, _ = call("run", two_buses, *linear, "--out", tmp_path / "out")
+    assert (code, "iterations     not reported\n" in out) == (0, True)
+    for horizon, size in ((1, "1 stage of 1 h"), (2, "2 stages of 1 h")):
+        assert size in call("solve", two_buses, "--horizon", horizon, "--solver", "clarabel")[2]
+
+
 def test_list(call: Call) -> None:
     code, out, _ = call("list", "--json")
     entries = json.loads(out)["plugins"]
     assert code == 0
-    assert ("formulation", "ac", "opfmodel") in {(e["sort"], e["name"], e["origin"]) for e in entries}
+    assert ("formulation", "ac", "opfmodel") in {(e["kind"], e["name"], e["origin"]) for e in entries}
     assert all(e["summary"] for e in entries)
     assert not [e for e in entries if ":math:" in e["summary"] or "`" in e["summary"]]
-    options = {(e["sort"], e["name"]): e["options"] for e in entries}
+    options = {(e["kind"], e["name"]): e["options"] for e in entries}
     assert options["forecast", "noisy"] == ["deviation", "seed", "correlation=0.9", "fields=[p, q, p_max]"]
     assert options["profile", "scale"] == ["factor", "loads=null"]
     assert options["formulation", "ac"] == []
@@ -191,13 +226,18 @@ def test_list(call: Call) -> None:
         (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), "--set x:1:201: nested too deeply"),
         (("run", CASE5, "--set", f"{'a.' * 20_000}a=1"), "has 20001 parts"),
         (("run", CASE5, "--set", f"time.steps={10**30}"), "--set time.steps:1:1: .*integers of more than 64"),
-        (("run", CASE5, "--set", f"name={'x' * 5000}"), ":6:1: name: .* at most 120 bytes"),
+        (("run", CASE5, "--set", f"name={'x' * 5000}"), "--set: name: .* at most 120 bytes"),
         (("run", f"{'x' * 5000}.yaml"), "xxx.yaml: cannot be read"),
-        (("run", CASE5, "--set", "time=2019-07-22"), ":36:1: time: '2019-07-22': must be a mapping"),
+        (("run", CASE5, "--set", "time=2019-07-22"), "--set: time: '2019-07-22': must be a mapping"),
         (
             ("run", CASE5, "--set", "network.base_mva=1e308"),
-            ":10:3: network.base_mva: 1e.308: must be a finite",
+            "--set: network.base_mva: 1e.308: must be a finite",
         ),
+        (("solve", CASE5, "--formulation", "acc"), "error: --formulation: controller.formulation: .* 'acc'"),
+        (("solve", CASE5, "--solver", "nosuch"), "error: --solver: controller.solver: .*'nosuch'"),
+        (("solve", CASE5, "--horizon", "0"), "error: --horizon: controller.horizon: 0: "),
+        (("solve", CASE5, "--default-cost", "3"), "--default-cost .*network.default_cost"),
+        (("plot", CASE5), r"case5-step\.yaml: not a result of opfmodel: is not a NetCDF 4 file$"),
         (("plot", "x" * 5000), "no such file"),
         (("plot", "/dev/zero"), "is a device"),
         (("frobnicate",), "No such command"),
@@ -464,11 +504,11 @@ def test_solve_diagnoses_an_infeasible_problem(call: Call) -> None:
     assert code == 1
     assert result["status"] == "locally_infeasible"
     assert "--on-infeasible elastic" in call(*arguments[:-2])[1]
-    (sentence,) = result["diagnosis"]
+    (sentence,) = result["diagnosis"]["0"]  # by step, as for a closed loop
     assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
     code, out, _ = call(*arguments)
     assert f"diagnosis: {sentence}" in out
-    assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
+    assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == {}
 
 
 def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:

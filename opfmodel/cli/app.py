@@ -74,7 +74,7 @@ def main() -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
     warnings.showwarning = show_warning
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except (typer.Abort, KeyboardInterrupt):

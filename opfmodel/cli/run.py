@@ -53,9 +53,10 @@ def run(
         "violations": {} if report is None else report.as_dict(),
         "unchecked": [] if report is None else list(report.unchecked),
     }
-    summary = save(done.data if done.steps else None, summary, folder)
-    if figures and done.steps:
-        save_figures(done.data, folder, figures=["system"])
+    data = done.data.assign_attrs(scenario=loaded.name) if done.steps else None
+    summary = save(data, summary, folder)
+    if figures and data is not None:
+        save_figures(data, folder, figures=["system"])
     if json_:
         print_json(summary)
     else:
