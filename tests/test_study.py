@@ -1400,6 +1400,14 @@ def test_a_key_is_set_once(folder: Path, text: str, message: str) -> None:
         read_study(folder / "study.yaml")
 
 
+def test_two_axes_do_not_set_parts_of_the_same_mapping(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary:\n  a: {x: {time: {steps: 1}}}\n  b: {y: {time: {step: 1}}}\n"
+    )
+    with pytest.raises(ScenarioError, match=r":4:3: vary.b: 'time' is already varied by 'a'"):
+        read_study(folder / "study.yaml")
+
+
 def test_an_axis_overrides_what_is_set(folder: Path) -> None:
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nset: {time.steps: 1}\nvary: {time: {short: {time.steps: 2}}}\n"

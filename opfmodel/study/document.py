@@ -143,10 +143,7 @@ def read_study(path: str | Path) -> Study:
     _check_bundle(document, ("set",), file.set)
     base = {"scenario": file.scenario, "variant": file.variant, **file.set}
     axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
-    claims = _Claims()
-    for axis in axes:
-        if taken := claims.add(axis.name, {path for changes in axis.changes for path in _paths(changes)}):
-            raise document.error(("vary", axis.name), f"{taken.key!r} is already varied by {taken.owner!r}")
+    _check_axes(document, axes)
     if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
     runs = math.prod(len(axis.labels) for axis in axes)
@@ -221,6 +218,17 @@ class _Claims:
             self._ends[path] = owner
             self._starts |= dict.fromkeys(_starts(path), owner)
         return None
+
+
+def _check_axes(document: Document, axes: tuple[Axis, ...]) -> None:
+    """Raise an error if two axes set the same key."""
+    claims, owners = _Claims(), dict[str, str]()
+    for axis in axes:
+        for key in sorted(axis.keys & owners.keys()):  # of two mappings, a run would take only one
+            raise document.error(("vary", axis.name), f"{key!r} is already varied by {owners[key]!r}")
+        owners |= dict.fromkeys(axis.keys, axis.name)
+        if taken := claims.add(axis.name, {path for changes in axis.changes for path in _paths(changes)}):
+            raise document.error(("vary", axis.name), f"{taken.key!r} is already varied by {taken.owner!r}")
 
 
 def _check_bundle(document: Document, position: Key, changes: Changes) -> None:
