@@ -94,7 +94,10 @@ def load(folder: str | Path) -> xr.Dataset:
     path = Path(folder)
     path = path / _DATA if os.path.isdir(path) else path  # noqa: PTH112 - any text
     if not os.path.lexists(path):
-        raise ResultError(f"{path}: no such file; 'opfmodel run' creates it")
+        summary = _summary(path)
+        stepless = summary is not None and _DIGEST not in summary
+        reason = "the run in this folder completed no step" if stepless else "'opfmodel run' creates it"
+        raise ResultError(f"{path}: no such file; {reason}")
     check_file(path, ResultError, most_bytes=sys.maxsize)
     _check_digest(path)
     if not h5py.is_hdf5(path):  # h5netcdf prints a traceback for such files
@@ -116,16 +119,21 @@ def _check_digest(path: Path) -> None:
 
     Without this check, the NetCDF libraries may hang on a damaged file.
     """
-    summary = path.with_name(_SUMMARY)
-    if path.name != _DATA or not summary.exists():
-        return
-    try:
-        known = json.loads(read_text(summary, ResultError))
-    except (ValueError, RecursionError) as error:
-        raise ResultError(f"{summary}: not JSON: {error}") from error
-    saved = known.get(_DIGEST) if isinstance(known, dict) else None
+    saved = (_summary(path) or {}).get(_DIGEST)
     if saved is not None and saved != _digest(path):
         raise ResultError(f"{path}: the checksum differs from that in {_SUMMARY}; repeat the run")
+
+
+def _summary(path: Path) -> dict[str, Any] | None:
+    """Return the summary beside trajectories; None if there is none, as for files of another name."""
+    file = path.with_name(_SUMMARY)
+    if path.name != _DATA or not file.exists():
+        return None
+    try:
+        known = json.loads(read_text(file, ResultError))
+    except (ValueError, RecursionError) as error:
+        raise ResultError(f"{file}: not JSON: {error}") from error
+    return known if isinstance(known, dict) else None
 
 
 def _digest(path: Path) -> str:
