@@ -130,7 +130,9 @@ def case5_cost(first: str) -> str:
     [
         ("missing.m", None, "no such file"),
         ("truncated.m", case5()[:900], "cannot be read as a network"),
-        ("unknown.xyz", "hello", "cannot infer"),
+        ("plain.json", "{}", "network: the format cannot be inferred; accepted are MATPOWER"),
+        ("short.raw", "text", "cannot be read as a network: (?!.*[A-Z]+[.][A-Z]+).*SBASE"),
+        ("unknown.xyz", "hello", "network: the format cannot be inferred; accepted are MATPOWER"),
         ("empty.m", "", "cannot be read as a network"),
         ("no_cost.m", case5().split("%%-----  OPF Data")[0], "no cost data for gen1"),
         ("cubic.m", case5_cost("2 0 0 4 1 0 14 0"), "cubic.m:57: gen1: cost: a polynomial of degree 3"),

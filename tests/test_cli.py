@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -152,14 +154,48 @@ def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:
     assert call("validate", path, "--variant", "fine")[0] == 0
 
 
+def test_only_an_error_caused_by_an_option_cites_it(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(TWO_BUSES.replace("horizon: 3", "horizon: 0"))
+    fault = f"error: {path}:8:14: controller.horizon: 0: "
+    assert call("solve", path, "--set", "time.steps=2")[2].startswith(fault)
+    assert call("solve", path, "--set", "time.steps=0")[2].startswith("error: --set: time.steps: 0: ")
+    assert call("run", path, "--on-infeasible", "elastic")[2].startswith(fault)
+    assert call("solve", path, "--horizon", "2", "--formulation", "nosuch")[2].startswith(
+        "error: --formulation: controller.formulation: "
+    )
+
+
+@pytest.mark.parametrize("command", [(), ("study",)])
+def test_without_a_command_the_usage_is_printed(call: Call, command: tuple[str, ...]) -> None:
+    code, out, err = call(*command)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"Usage: {' '.join(['opfmodel', *command])} ")
+    lines = err.splitlines()
+    assert any(line.lstrip().startswith("run  ") for line in lines)
+    assert "\\n" not in err
+
+
+def test_the_version_is_printed(call: Call) -> None:
+    assert call("--version") == (0, f"opfmodel {version('opfmodel')}\n", "")
+
+
+def test_counts_are_written_as_words(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    linear = ("--set", "controller.formulation=dc", "--set", "controller.solver=qp:highs")
+    code, out, _ = call("run", two_buses, *linear, "--out", tmp_path / "out")
+    assert (code, "iterations     not reported\n" in out) == (0, True)
+    for horizon, size in ((1, "1 stage of 1 h"), (2, "2 stages of 1 h")):
+        assert size in call("solve", two_buses, "--horizon", horizon, "--solver", "clarabel")[2]
+
+
 def test_list(call: Call) -> None:
     code, out, _ = call("list", "--json")
     entries = json.loads(out)["plugins"]
     assert code == 0
-    assert ("formulation", "ac", "opfmodel") in {(e["sort"], e["name"], e["origin"]) for e in entries}
+    assert ("formulation", "ac", "opfmodel") in {(e["kind"], e["name"], e["origin"]) for e in entries}
     assert all(e["summary"] for e in entries)
     assert not [e for e in entries if ":math:" in e["summary"] or "`" in e["summary"]]
-    options = {(e["sort"], e["name"]): e["options"] for e in entries}
+    options = {(e["kind"], e["name"]): e["options"] for e in entries}
     assert options["forecast", "noisy"] == ["deviation", "seed", "correlation=0.9", "fields=[p, q, p_max]"]
     assert options["profile", "scale"] == ["factor", "loads=null"]
     assert options["formulation", "ac"] == []
@@ -190,13 +226,18 @@ def test_list(call: Call) -> None:
         (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), "--set x:1:201: nested too deeply"),
         (("run", CASE5, "--set", f"{'a.' * 20_000}a=1"), "has 20001 parts"),
         (("run", CASE5, "--set", f"time.steps={10**30}"), "--set time.steps:1:1: .*integers of more than 64"),
-        (("run", CASE5, "--set", f"name={'x' * 5000}"), ":6:1: name: .* at most 120 bytes"),
+        (("run", CASE5, "--set", f"name={'x' * 5000}"), "--set: name: .* at most 120 bytes"),
         (("run", f"{'x' * 5000}.yaml"), "xxx.yaml: cannot be read"),
-        (("run", CASE5, "--set", "time=2019-07-22"), ":36:1: time: '2019-07-22': must be a mapping"),
+        (("run", CASE5, "--set", "time=2019-07-22"), "--set: time: '2019-07-22': must be a mapping"),
         (
             ("run", CASE5, "--set", "network.base_mva=1e308"),
-            ":10:3: network.base_mva: 1e.308: must be a finite",
+            "--set: network.base_mva: 1e.308: must be a finite",
         ),
+        (("solve", CASE5, "--formulation", "acc"), "error: --formulation: controller.formulation: .* 'acc'"),
+        (("solve", CASE5, "--solver", "nosuch"), "error: --solver: controller.solver: .*'nosuch'"),
+        (("solve", CASE5, "--horizon", "0"), "error: --horizon: controller.horizon: 0: "),
+        (("solve", CASE5, "--default-cost", "3"), "--default-cost .*network.default_cost"),
+        (("plot", CASE5), r"case5-step\.yaml: not a result of opfmodel: is not a NetCDF 4 file$"),
         (("plot", "x" * 5000), "no such file"),
         (("plot", "/dev/zero"), "is a device"),
         (("frobnicate",), "No such command"),
@@ -279,11 +320,76 @@ def test_a_folder_that_cannot_be_written_is_reported(call: Call, tmp_path: Path)
     assert "results cannot be written" in err
 
 
+TWO_BUSES = """
+network:
+  buses: {north: {reference: true}, south: {}}
+  branches: {tie: {from_bus: north, to_bus: south, r: 0.01, x: 0.1, rating: 120}}
+  generators: {coal: {bus: north, p: [0, 200], q: [-80, 80], cost: {c1: 15}}}
+  loads: {town: {bus: south, p: 90, q: 30}}
+time: {steps: 4}
+controller: {horizon: 3}
+"""
+
+
+@pytest.fixture
+def two_buses(tmp_path: Path) -> Path:
+    path = tmp_path / "two-buses.yaml"
+    path.write_text(TWO_BUSES)
+    return path
+
+
+def on_a_full_disk(most_bytes: int, *arguments: object) -> tuple[int, str, str]:
+    """Run a command that can write small files only: exit status, standard output, standard error."""
+    done = subprocess.run(
+        [sys.executable, "-c", "from opfmodel import cli; cli.main()", *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes)),
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("most_bytes", [1_000, 4_000, 12_000, 45_000])
+def test_a_full_disk_is_reported_in_one_line(most_bytes: int, two_buses: Path, tmp_path: Path) -> None:
+    code, out, err = on_a_full_disk(most_bytes, "run", two_buses, "--out", tmp_path / "out", "--json")
+    assert code == 2
+    assert "cannot be written: File too large" in json.loads(out)["error"]
+    assert (err.startswith("error: "), err.count("\n")) == (True, 1)
+    written = [p.name for p in (tmp_path / "out").iterdir()]
+    assert sorted(written) == (["summary.json", "trajectories.nc"] if most_bytes > 40_000 else [])
+
+
+def test_figures_on_a_full_disk_are_reported_in_one_line(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    assert call("run", two_buses, "--out", tmp_path / "out", "--no-figures")[0] == 0
+    code, out, err = on_a_full_disk(4_000, "plot", tmp_path / "out", "--json")
+    assert code == 2
+    assert "figures cannot be written: File too large" in json.loads(out)["error"]
+    assert err.count("\n") == 1
+
+
+def test_the_results_folder_describes_the_last_run(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert call("run", two_buses, "--out", folder)[0] == 0
+    assert call("plot", folder)[0] == 0
+    assert call("run", two_buses, "--out", folder, "--no-figures")[0] == 0
+    assert sorted(p.name for p in folder.iterdir()) == ["summary.json", "trajectories.nc"]
+    heavy = ("--set", "network.loads.town.p=500")
+    code, out, _ = call("run", two_buses, "--out", folder, *heavy)
+    assert (code, f"results        {folder}" in out) == (1, True)
+    assert [p.name for p in folder.iterdir()] == ["summary.json"]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["status"], summary["steps"], summary["cost"]) == ("locally_infeasible", 0, None)
+    code, _, err = call("plot", folder)
+    assert (code, "the run in this folder completed no step" in err) == (2, True)
+
+
 def test_a_folder_without_a_run_is_reported(call: Call, tmp_path: Path) -> None:
     (tmp_path / "trajectories.nc").write_text("junk")
     code, _, err = call("plot", tmp_path)
     assert code == 2
-    assert "not a result of opfmodel" in err
+    assert "not a result of opfmodel: is not a NetCDF 4 file" in err
 
 
 def start(script: str, *arguments: object) -> subprocess.Popen[str]:
@@ -399,11 +505,11 @@ def test_solve_diagnoses_an_infeasible_problem(call: Call) -> None:
     assert code == 1
     assert result["status"] == "locally_infeasible"
     assert "--on-infeasible elastic" in call(*arguments[:-2])[1]
-    (sentence,) = result["diagnosis"]
+    (sentence,) = result["diagnosis"]["0"]  # by step, as for a closed loop
     assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
     code, out, _ = call(*arguments)
     assert f"diagnosis: {sentence}" in out
-    assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []
+    assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == {}
 
 
 def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:

@@ -34,6 +34,26 @@ def test_columns_have_values_and_lines(tmp_path: Path) -> None:
     assert read.place("b.p", 2).endswith("series.csv: line 7, column 'b.p': ")
 
 
+def test_a_comment_with_a_quotation_mark_swallows_no_rows(tmp_path: Path) -> None:
+    read = read_columns(write(tmp_path, 'town.p\n# note,"a\n1\n2\n"# end, b",3\n# end,"b\n3\n4\n5\n'), 3)
+    assert read.values["town.p"].tolist() == [1, 2, 3]
+    assert list(read.lines) == [3, 4, 7]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_quoted_cells_and_any_end_of_line_are_read(tmp_path: Path, end: str) -> None:
+    read = read_columns(write(tmp_path, end.join(['"a, b.p",c.p', '"1",2', "3,4"])))
+    assert {heading: values.tolist() for heading, values in read.values.items()} == {
+        "a, b.p": [1, 3],
+        "c.p": [2, 4],
+    }
+    assert list(read.lines) == [2, 3]
+
+
+def test_a_byte_order_mark_is_ignored(tmp_path: Path) -> None:
+    assert read_columns(write(tmp_path, b"\xef\xbb\xbftown.p\n1\n")).values["town.p"].tolist() == [1]
+
+
 def test_columns_are_selected(tmp_path: Path) -> None:
     path = write(tmp_path, TEXT)
     assert list(read_columns(path, headings=["hour"]).values) == ["hour"]
@@ -75,6 +95,9 @@ def test_infinity_is_refused_unless_it_means_no_limit(tmp_path: Path, entry: str
         (",".join(f"c{n}" for n in range(50_000)) + "\n", r".* c18, c19 \.\.\.$"),
         (f"a.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
         (b"a.p\n\xff\n", "not UTF-8 text"),
+        ("a.p\n1_0\n", "line 2, column 'a.p': '1_0' is not a number"),
+        ("a.p\n\uff11\n", "line 2, column 'a.p': '\uff11' is not a number"),
+        ('a.p,b.p\n1,"2\n3,4"\n', "line 2: a quotation mark is not closed"),
     ],
 )
 def test_errors_are_reported_with_their_line(tmp_path: Path, content: str | bytes, message: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import demand, everything
@@ -9,6 +11,7 @@ from test_plants import Heater, HeaterDevice
 
 import opfmodel as om
 from opfmodel.check import losses
+from opfmodel.results import figures
 from opfmodel.results.figures import system
 
 
@@ -35,3 +38,41 @@ def test_without_flows_there_are_no_losses() -> None:
     labels = [line.get_label() for axis in system(data).axes for line in axis.get_lines()]
     assert "branch losses" not in labels
     assert "generation" in labels
+
+
+def labels(figure: object) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+@pytest.fixture(scope="module")
+def plan() -> om.Plan:
+    return om.MultiStage(everything(), 3, formulation="ac", profiles=demand(3)).solve()
+
+
+def test_stored_energy_is_drawn_until_the_end_of_the_last_step(plan: om.Plan) -> None:
+    axes = [*system(plan.data).axes, *figures.buses(plan.data).axes]
+    panels = [axis for axis in axes if axis.get_ylabel() == "energy [MWh]"]
+    assert len(panels) == 2
+    for axis in panels:
+        drawn = [line.get_xydata() for line in axis.get_lines() if len(line.get_xdata())]
+        assert all(points[:, 0].tolist() == [0, 1, 2, 3] for points in drawn)
+        assert sum(points[-1, 1] for points in drawn) == pytest.approx(float(plan.data["e_next"][-1].sum()))
+        assert sum(points[0, 1] for points in drawn) == pytest.approx(float(plan.data["e"][0].sum()))
+
+
+def test_line_styles_of_active_and_reactive_power_have_a_key(plan: om.Plan) -> None:
+    for figure in (figures.demand(plan.data), figures.buses(plan.data)):
+        assert {"active", "reactive"} <= set(labels(figure))
+        shown = {line.get_label(): line.get_linestyle() for axis in figure.axes for line in axis.get_lines()}
+        assert (shown["active"], shown["reactive"]) == ("-", "--")
+    without = om.MultiStage(everything(), 2, formulation="dc", profiles=demand(2)).solve().data
+    assert "reactive" not in labels(figures.buses(without))
+
+
+def test_the_title_names_the_scenario(plan: om.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = []
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda self, *_, **__: titles.append(self.axes[0].get_title())
+    )
+    figures.save_figures(plan.data.assign_attrs(scenario="island:dc"), tmp_path, figures=["system"])
+    assert set(titles) == {"island:dc: system"}

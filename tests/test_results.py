@@ -131,35 +131,69 @@ def test_other_data_are_refused(run: om.Run, tmp_path: Path) -> None:
         load(path)
 
 
-def test_replacing_a_run_removes_the_old_summary(run: om.Run, folder: Path) -> None:
+def test_replacing_a_run_removes_the_old_summary(
+    run: om.Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Killed(Exception):
         pass
 
-    def killed(*_: object) -> None:
+    rename = Path.replace
+
+    def killed(self: Path, target: Path) -> None:
+        rename(self, target)
         raise Killed
 
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        patch.setattr("opfmodel.results.store.finite", killed)
+    monkeypatch.setattr(Path, "replace", killed)
+    with pytest.raises(Killed):
         save(run.data.assign(pd=run.data["pd"] + 1), run.summary(), folder)
     assert not (folder / "summary.json").exists()
     assert float(load(folder)["pd"].sum()) != float(run.data["pd"].sum())
 
 
-def test_figures_are_written_atomically(run: om.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = save_figures(run.data, tmp_path, figures=["system"])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["system.pdf", "system.png"]
-    before = {path: path.read_bytes() for path in written}
-    assert before[tmp_path / "system.pdf"].startswith(b"%PDF")
-    assert before[tmp_path / "system.png"].startswith(b"\x89PNG")
+def test_a_run_leaves_nothing_of_an_earlier_run(run: om.Run, folder: Path) -> None:
+    save_figures(run.data, folder)
+    (folder / "notes.txt").write_text("mine")
+    save(run.data, run.summary(), folder)
+    assert sorted(p.name for p in folder.iterdir()) == ["notes.txt", "summary.json", "trajectories.nc"]
+    save(None, {"status": "locally_infeasible", "cost": None}, folder)
+    assert sorted(p.name for p in folder.iterdir()) == ["notes.txt", "summary.json"]
+    assert json.loads((folder / "summary.json").read_text()) == {"status": "locally_infeasible", "cost": None}
 
-    def full(self: object, target: Path, **_: object) -> None:
-        target.write_bytes(b"half")
-        raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
-    with pytest.raises(ResultError, match=r"system\.pdf: cannot be written: No space left on device"):
-        save_figures(run.data, tmp_path, figures=["system"])
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+def test_a_full_disk_keeps_the_earlier_run(
+    run: om.Run, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_figures(run.data, folder, figures=["system"])
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    write = Path.write_bytes
+
+    def full(self: Path, content: bytes) -> int:
+        if self.name.startswith((".summary", ".system.png")):
+            write(self, content[:10])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(ResultError, match=r"results cannot be written: No space left on device"):
+        save(run.data.assign(pd=run.data["pd"] + 1), {}, folder)
+    with pytest.raises(ResultError, match=r"figures cannot be written: No space left on device"):
+        save_figures(run.data.assign(pd=run.data["pd"] + 1), folder, figures=["system"])
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_figures_are_pdf_and_png(run: om.Run, tmp_path: Path) -> None:
+    written = save_figures(run.data, tmp_path / "new", figures=["system"])
+    assert [path.name for path in written] == ["system.pdf", "system.png"]
+    assert written[0].read_bytes().startswith(b"%PDF")
+    assert written[1].read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("content", [b"network: {}\n", b"", b"CDF\x01" + bytes(100)])
+def test_a_file_of_another_format_is_refused_in_plain_words(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "other.nc"
+    path.write_bytes(content)
+    with pytest.raises(ResultError, match=r"other\.nc: not a result of opfmodel: is not a NetCDF 4 file$"):
+        load(path)
 
 
 def test_a_figure_does_not_write_through_a_link(run: om.Run, tmp_path: Path) -> None:

@@ -28,12 +28,14 @@ from hypothesis import strategies as st
 
 from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
 from opfmodel.study import (
+    document,
     execution,
     provenance,
     read_study,
     read_table,
     run_study,
     runner,
+    shown_columns,
     specification,
     store,
 )
@@ -921,6 +923,8 @@ def test_a_file_size_limit_stops_the_study_and_keeps_finished_runs(folder: Path)
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
     assert finish(*run)[0] == 0
     (folder / "other.csv").write_text(DEMAND.replace("10", "15"))
+    for name in ("notes.json", f"{'0' * 32}.json"):  # neither is a finished run
+        (folder / "out" / "runs" / name).write_text("{}")
 
     def small() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # less than study.json needs
@@ -1334,3 +1338,122 @@ def test_workers_that_run_out_of_memory_fail_only_their_run(folder: Path) -> Non
     assert re.search(r"failed: controller.horizon=60000: 3 workers died .* memory", err)
     assert [row["status"] for row in read_table(folder / "out")] == ["done", "error", "done", "done"]
     assert "4: 3 done, 1 failed" in out
+
+
+def test_a_misspelt_vary_is_reported_as_a_key_of_a_study(folder: Path) -> None:
+    path = folder / "study.yaml"
+    path.write_text("scenario: tiny.yaml\nvarry: {time.steps: [1, 2]}\n")
+    for command in (("validate",), ("study", "run")):
+        code, _, err = finish_any(*command, path)
+        assert (code, err) == (2, f"error: {path}:2:1: varry: unknown key; did you mean 'vary'?\n")
+    code, _, err = finish_any("run", path)
+    assert (code, "this file is a study" in err) == (2, True)
+
+
+def finish_any(*arguments: object) -> tuple[int, str, str]:
+    """Run any command: exit status, standard output, standard error."""
+    done = subprocess.run(
+        [sys.executable, "-c", "from opfmodel import cli; cli.main()", *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_reading_a_study_refuses_absolute_paths_of_data(folder: Path) -> None:
+    table, path = folder / "table.csv", folder / "study.yaml"
+    table.write_text("town.p\n1\n2\n3\n4\n")
+    rule = f"{{profiles: [{{table: {{file: {table}}}}}]}}"
+    for text, place in (
+        (f"set: {rule}\nvary: {{time.steps: [1, 2]}}\n", "2:1: set: "),
+        (f"vary: {{data: {{own: {{}}, far: {rule}}}}}\n", "2:24: vary.data.far: "),
+    ):
+        path.write_text(f"scenario: tiny.yaml\n{text}")
+        with pytest.raises(ScenarioError) as caught:
+            read_study(path)
+        assert str(caught.value).startswith(f"{path}:{place}")
+        assert f"{str(table)!r}: must be relative" in str(caught.value)
+    path.write_text(
+        f"scenario: tiny.yaml\nset: {rule.replace(str(table), table.name)}\nvary: {{time.steps: [1]}}\n"
+    )
+    read_study(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "set: {time: {steps: 4}, time.steps: 2}\nvary: {controller.horizon: [1]}",
+            r":2:25: set.time.steps: ",
+        ),
+        (
+            "vary:\n  both:\n    a: {controller.horizon: 1, controller: {horizon: 2}}",
+            r":4:32: vary.both.a.controller: 'controller.horizon' is already set by 'controller.horizon'",
+        ),
+    ],
+)
+def test_a_key_is_set_once(folder: Path, text: str, message: str) -> None:
+    (folder / "study.yaml").write_text(f"scenario: tiny.yaml\n{text}\n")
+    with pytest.raises(ScenarioError, match=message):
+        read_study(folder / "study.yaml")
+
+
+def test_two_axes_do_not_set_parts_of_the_same_mapping(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nvary:\n  a: {x: {time: {steps: 1}}}\n  b: {y: {time: {step: 1}}}\n"
+    )
+    with pytest.raises(ScenarioError, match=r":4:3: vary.b: 'time' is already varied by 'a'"):
+        read_study(folder / "study.yaml")
+
+
+def test_an_axis_overrides_what_is_set(folder: Path) -> None:
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nset: {time.steps: 1}\nvary: {time: {short: {time.steps: 2}}}\n"
+    )
+    (variation,) = read_study(folder / "study.yaml").variations()
+    assert variation.overrides == {"time.steps": 2}
+
+
+def test_axes_of_many_points_are_checked_in_linear_time(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The labels are compared by hash, never with each other."""
+
+    class Label(str):
+        __hash__ = str.__hash__
+        compared = 0
+
+        def __eq__(self, other: object) -> bool:
+            Label.compared += 1
+            return str.__eq__(self, other)
+
+    monkeypatch.setattr(document, "_label", Label)
+    monkeypatch.setattr(document._Trial, "check", lambda self: None)
+    (folder / "study.yaml").write_text(
+        f"scenario: tiny.yaml\nvary: {{controller.regularisation: {list(range(1000))}}}\n"
+    )
+    assert len(read_study(folder / "study.yaml")) == 1000
+    assert Label.compared < 10_000
+
+
+def test_columns_of_waiting_runs_can_be_selected(folder: Path) -> None:
+    """A table shows no error before the first run has finished, and lists every column that a run adds."""
+    (folder / "study.yaml").write_text(
+        "scenario: tiny.yaml\nset: {plant.mode: redispatch}\nvary: {time.steps: [1, 2]}\n"
+    )
+    run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+    complete = read_table(folder / "out")
+    for record in (folder / "out" / "runs").glob("*.json"):
+        record.unlink()
+    waiting = read_table(folder / "out")
+    figures = [name for name in complete[0] if not name.startswith("provenance_")]
+    assert "redispatched_mwh" in figures
+    assert shown_columns(waiting, figures) == figures
+    for rows in (waiting, complete):
+        with pytest.raises(ResultError, match=r"no column 'redispatch_mwh'.*'redispatched_mwh'"):
+            shown_columns(rows, ["redispatch_mwh"])
+    code, out, err = finish_any("study", "table", folder / "out", "--column", "redispatched_mwh")
+    assert (code, err) == (0, "")
+    assert out.split() == ["redispatched_mwh"]

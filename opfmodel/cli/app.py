@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import sys
 import warnings
+from importlib.metadata import version
 from io import TextIOWrapper
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 from opfmodel.cli import inspect, run, solve, study
-from opfmodel.cli.output import print_json, remark, show_warning
+from opfmodel.cli.output import print_json, print_line, remark, show_warning
 from opfmodel.errors import OpfmodelError
 
 __all__ = ["app", "main"]
 
 app = typer.Typer(
     help="Multi-stage AC optimal power flow with storage, in receding horizon.",
-    no_args_is_help=True,
+    invoke_without_command=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -29,12 +30,41 @@ app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
 
-study_app = typer.Typer(help="Run and tabulate parameter studies.", no_args_is_help=True)
+study_app = typer.Typer(help="Run and tabulate parameter studies.", invoke_without_command=True)
 app.add_typer(study_app, name="study")
 study_app.command("run")(study.run)
 study_app.command("table")(study.table)
 
 _CTRL_C = 130  # exit status of Typer
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print_line(f"opfmodel {version('opfmodel')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _opfmodel(
+    context: typer.Context,
+    _: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    _require_command(context)
+
+
+@study_app.callback()
+def _study(context: typer.Context) -> None:
+    _require_command(context)
+
+
+def _require_command(context: typer.Context) -> None:
+    """Without a command, print the usage on standard error and exit with status 2."""
+    if context.invoked_subcommand is None:
+        for line in context.get_help().splitlines():
+            remark(line)
+        raise typer.Exit(2)
 
 
 def main() -> NoReturn:
@@ -44,7 +74,7 @@ def main() -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
     warnings.showwarning = show_warning
     try:
-        code = app(standalone_mode=False)
+        code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except (typer.Abort, KeyboardInterrupt):

@@ -23,7 +23,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
 
     if is_scenario(file):
         document = read_document(file)
-        if isinstance(document.content, dict) and "vary" in document.content:
+        if document.is_study:
             return _validate_study(file, json_)
         loaded = read_scenario(document, variant, set_)
         network = loaded.network

@@ -35,7 +35,9 @@ def run(
     from opfmodel.results.figures import save_figures
 
     check_on_infeasible(on_infeasible)
-    changes = {} if on_infeasible is None else {"controller.on_infeasible": on_infeasible}
+    changes = (
+        {} if on_infeasible is None else {"controller.on_infeasible": ("--on-infeasible", on_infeasible)}
+    )
     loaded = read_scenario(scenario, variant, set_, changes)
     loaded.problem.verbose = verbose
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
@@ -51,10 +53,10 @@ def run(
         "violations": {} if report is None else report.as_dict(),
         "unchecked": [] if report is None else list(report.unchecked),
     }
-    if done.steps:
-        summary = save(done.data, summary, folder)
-        if figures:
-            save_figures(done.data, folder, figures=["system"])
+    data = done.data.assign_attrs(scenario=loaded.name) if done.steps else None
+    summary = save(data, summary, folder)
+    if figures and data is not None:
+        save_figures(data, folder, figures=["system"])
     if json_:
         print_json(summary)
     else:

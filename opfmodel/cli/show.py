@@ -32,6 +32,9 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
     """
     problem, solution = solved.problem, solved.solution
     size = solution.program
+    iterations = (
+        "iterations not reported" if solution.iterations is None else f"{solution.iterations} iterations"
+    )
     print_notes(problem.notes)
     print_pairs(
         {
@@ -39,7 +42,7 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
             "objective": f"{solved.objective:,.4f} $" if solved.optimal else "none",
             "formulation": problem.formulation.name,
             "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
-            "solver": f"{solution.solver}, {_count(solution.iterations, 'iterations')}",
+            "solver": f"{solution.solver}, {iterations}",
             "time": f"{problem.build_seconds:.3f} s build, {solution.seconds:.3f} s solve",
             **({} if report is None else _verified(report)),
         }
@@ -66,12 +69,12 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
             "status": "done" if done.status == "done" else f"{done.status}: {done.termination}",
             "cost": "none" if cost is None else f"{cost:,.2f} $ in {summary['steps']} steps",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s maximum",
-            "iterations": _count(summary["iterations_mean"], "mean"),
+            "iterations": _mean(summary["iterations_mean"]),
             "max violation": "not checked" if violation is None else f"{violation:.1e} p.u.",
             **({} if report is None else _exceeded(report)),
             **_measured(summary),
             **_unchecked(summary["unchecked"]),
-            "results": f"{folder}" if summary["steps"] else "none",
+            "results": str(folder),
         }
     )
     for step, sentences in summary["diagnosis"].items():
@@ -117,7 +120,7 @@ def study_outcome(name: str, outcome: Outcome) -> None:
 
 def study_table(rows: list[dict[str, Any]], columns: list[str]) -> None:
     """Print selected columns of the table of a study."""
-    print_table(columns, [[_cell(row[name]) for name in columns] for row in rows])
+    print_table(columns, [[_cell(row.get(name)) for name in columns] for row in rows])
 
 
 def _diagnosis(sentences: list[str], label: str = "diagnosis") -> None:
@@ -125,11 +128,9 @@ def _diagnosis(sentences: list[str], label: str = "diagnosis") -> None:
         print_line(f"{label}: {sentence}")
 
 
-def _count(iterations: float | None, what: str) -> str:
-    """Iterations as text; some solvers do not report them."""
-    if iterations is None:
-        return f"{what} not reported"
-    return f"{f'{iterations:.1f}'.removesuffix('.0')} {what}"
+def _mean(iterations: float | None) -> str:
+    """Mean number of iterations as text; some solvers do not report them."""
+    return "not reported" if iterations is None else f"{iterations:.1f}".removesuffix(".0") + " mean"
 
 
 def _verified(report: Report) -> dict[str, str]:

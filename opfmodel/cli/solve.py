@@ -73,7 +73,7 @@ def solve(
                 "variables": plan.solution.program.n_variables,
                 "rows": plan.solution.program.n_rows,
                 "notes": list(problem.notes),
-                "diagnosis": diagnosis,
+                "diagnosis": {"0": diagnosis} if diagnosis else {},  # by step, as for a closed loop
             }
         )
     else:
@@ -92,7 +92,12 @@ def _problem(
     from opfmodel.plan import MultiStage
 
     if is_scenario(file):
-        changes = {f"controller.{key}": value for key, value in chosen.items()}
+        if default_cost is not None:
+            raise OpfmodelError(
+                f"{file}: --default-cost applies to network files only; "
+                "use --set network.default_cost, a cost such as {c1: 30}"
+            )
+        changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
         scenario = read_scenario(file, variant, overrides, changes)
         return scenario.problem, scenario.initial(), scenario.elastic
     if variant is not None or overrides:

@@ -86,10 +86,7 @@ def read_columns(
             _check_width(path, number, row, width)
             lines.append(number)
             for heading, position, series in zip(wanted, positions, values, strict=True):
-                try:
-                    value = float(row[position])
-                except (ValueError, IndexError):
-                    value = math.nan
+                value = _number(row[position]) if position < len(row) else math.nan
                 if not math.isfinite(value) and (math.isnan(value) or not unlimited):
                     raise ProfileError(
                         f"{path}: line {number}, column {heading!r}: {_fault(row, position, value)}"
@@ -101,18 +98,24 @@ def read_columns(
 
 
 def _rows(path: Path, stream: TextIO) -> Iterator[Row]:
-    """Rows with their line numbers, without comments and empty lines."""
-    reader = csv.reader(_lines(path, stream))
-    try:
-        for row in reader:
-            if row and not row[0].startswith("#"):
-                yield reader.line_num, row
-    except csv.Error as error:
-        raise ProfileError(f"{path}: line {reader.line_num}: not CSV: {error}") from error
+    """Rows with their line numbers, without comments and empty lines.
+
+    Every line is read on its own: a quotation mark that is not closed would join it to the next lines.
+    """
+    for number, line in _lines(path, stream):
+        try:
+            row = next(csv.reader([line]))
+        except csv.Error as error:
+            raise ProfileError(f"{path}: line {number}: not CSV: {error}") from error
+        if not row or row[0].startswith("#"):
+            continue
+        if row[-1].endswith(("\n", "\r")):
+            raise ProfileError(f"{path}: line {number}: a quotation mark is not closed on its line")
+        yield number, row
 
 
-def _lines(path: Path, stream: TextIO) -> Iterator[str]:
-    """Lines of a file, limited in length to bound memory use."""
+def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
+    """Lines of a file with their numbers, limited in length to bound memory use."""
     number = 0
     while line := stream.readline(_LONGEST_LINE):
         number += 1
@@ -120,7 +123,15 @@ def _lines(path: Path, stream: TextIO) -> Iterator[str]:
             raise ProfileError(
                 f"{path}: line {number}: too long; at most {_LONGEST_LINE:,} characters are accepted"
             )
-        yield line
+        yield number, line
+
+
+def _number(text: str) -> float:
+    """Value of a cell; NaN unless it is a number as other programs write it."""
+    try:
+        return math.nan if "_" in text or not text.isascii() else float(text)
+    except ValueError:
+        return math.nan
 
 
 def _headings(path: Path, table: Iterator[Row]) -> tuple[int, dict[str, int]]:

@@ -26,6 +26,8 @@ MOST_BYTES = 1_000 * MB  # an hourly table of one year for ten thousand componen
 def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BYTES) -> Iterator[TextIO]:
     """Open a UTF-8 text file; read errors inside the block are reported with the path.
 
+    A byte-order mark is skipped.
+
     Parameters
     ----------
     raises
@@ -34,7 +36,7 @@ def open_text(path: Path, raises: type[OpfmodelError], most_bytes: int = MOST_BY
     """
     descriptor = _open(path, raises, most_bytes)
     try:
-        with io.TextIOWrapper(os.fdopen(descriptor, "rb"), encoding="utf-8", newline="") as stream:
+        with io.TextIOWrapper(os.fdopen(descriptor, "rb"), encoding="utf-8-sig", newline="") as stream:
             yield stream
     except UnicodeDecodeError as error:
         raise raises(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from error

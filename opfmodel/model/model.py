@@ -91,7 +91,7 @@ class Model:
         self.step = step
         self.reactive = reactive
         self.zones = zones
-        self.build = ProgramBuilder(f"{network.name}, {stages} stages of {step:g} h")
+        self.build = ProgramBuilder(f"{network.name}, {stages} stage{'s' * (stages != 1)} of {step:g} h")
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}

@@ -37,8 +37,9 @@ class Entry:
     options: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert the entry to plain data."""
-        return asdict(self)
+        """Convert the entry to plain data; the sort is called ``kind``."""
+        entry = asdict(self)
+        return {"kind": entry.pop("sort"), **entry}
 
 
 def catalogue() -> list[Entry]:

@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError, nearest
-from opfmodel.results.store import replace
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "buses", "demand", "save_figures", "system"]
+__all__ = ["FIGURES", "buses", "demand", "figure_paths", "save_figures", "system"]
 
 # Okabe-Ito palette; distinct line styles keep figures readable in greyscale.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _WIDTH = 7.2  # inches: the text width of a page
 _MOST_LINES = 7
+_FORMATS: dict[str, dict[str, Any]] = {"pdf": {}, "png": {"dpi": 200, "pil_kwargs": {"compress_level": 9}}}
 
 
 def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - same signature
     """Plot system totals: demand and generation, storage power, branch losses, stored energy and cost."""
-    stored = "e" in data
+    stored = "e_next" in data
     figure, axes = _figure(2 + stored + ("cost_rate" in data))
     panels = iter(axes)
     generation, drawn, charging = (_total(data, name) for name in ("pg", "pd", "ps"))
@@ -47,7 +48,7 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     rest.set_ylabel("power [MW]")
     if stored:
         axis = next(panels)
-        _line(axis, data, _total(data, "e"), label="stored energy", color=_COLOURS[2])
+        _line(axis, data, _total(data, "e"), _total(data, "e_next"), label="stored energy", color=_COLOURS[2])
         axis.set_ylabel("energy [MWh]")
     if "cost_rate" in data:
         axis = next(panels)
@@ -64,6 +65,7 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
         colour = _COLOURS[number % len(_COLOURS)]
         _steps(axes[0], data, data["pd"].sel(bus=bus).values, label=f"bus {bus}", color=colour)
         _steps(axes[0], data, data["qd"].sel(bus=bus).values, color=colour, linestyle="--")
+    _key(axes[0])
     axes[0].set_ylabel("demand [MW], [MVAr]")
     _steps(axes[1], data, _total(data, "pd"), label="all buses", color=_COLOURS[6], linestyle="-.")
     axes[1].set_ylabel("total demand [MW]")
@@ -76,32 +78,31 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
 
     Reactive power is dashed; all other quantities are solid.
     """
-    chosen = _buses(data, names)
+    colours = {bus: _COLOURS[n % len(_COLOURS)] for n, bus in enumerate(_buses(data, names))}
     panels = [
         ("generator", ("pg", "qg"), "generation\n[MW], [MVAr]"),
         ("storage", ("ps", "qs"), "storage power\n[MW], [MVAr]"),
         ("bus", ("vm",), "voltage [p.u.]"),
         ("bus", ("va",), "angle [deg]"),
-        ("storage", ("e",), "energy [MWh]"),
+        ("storage", ("e", "e_next"), "energy [MWh]"),
     ]
     panels = [panel for panel in panels if panel[1][0] in data]
     figure, axes = _figure(len(panels))
     for axis, (kind, quantities, label) in zip(axes, panels, strict=True):
-        for number, bus in enumerate(chosen):
-            for quantity, style in zip(quantities, ("-", "--"), strict=False):
-                values = _at_bus(data, quantity, kind, bus)
-                if values is not None:
-                    draw = _line if quantity == "e" else _steps
-                    name = f"bus {bus}" if style == "-" else None
-                    draw(
-                        axis,
-                        data,
-                        values,
-                        label=name,
-                        color=_COLOURS[number % len(_COLOURS)],
-                        linestyle=style,
-                    )
+        for bus, colour in colours.items():
+            values = [_at_bus(data, quantity, kind, bus) for quantity in quantities]
+            if values[0] is None:
+                continue
+            if quantities[0] == "e":
+                _line(axis, data, *values, label=f"bus {bus}", color=colour)
+                continue
+            _steps(axis, data, values[0], label=f"bus {bus}", color=colour)
+            for reactive in values[1:]:
+                if reactive is not None:
+                    _steps(axis, data, reactive, color=colour, linestyle="--")
         axis.set_ylabel(label)
+    if {"qg", "qs"} & set(data):
+        _key(axes[0])
     _legend(figure)
     return figure
 
@@ -127,19 +128,31 @@ def save_figures(
     ResultError
         A bus is unknown, or the folder cannot be written.
     """
-    written = []
+    written: dict[Path, bytes] = {}
     for name in figures:
         figure = FIGURES[name](data, names)
-        figure.axes[0].set_title(f"{data.attrs.get('network', '')}: {name}")
-        for suffix in ("pdf", "png"):
-            path = folder / f"{name}.{suffix}"
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                replace(path, partial(figure.savefig, dpi=200, format=suffix))
-            except OSError as error:
-                raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
-            written.append(path)
-    return written
+        shown = data.attrs.get("scenario", data.attrs.get("network", ""))
+        figure.axes[0].set_title(f"{shown}: {name}")
+        for path in figure_paths(folder, [name]):
+            written[path] = _drawn(figure, path.suffix.removeprefix("."))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace(written)
+    except OSError as error:
+        raise ResultError(f"{folder}: figures cannot be written: {error.strerror or error}") from error
+    return list(written)
+
+
+def figure_paths(folder: Path, figures: Iterable[str] = tuple(FIGURES)) -> list[Path]:
+    """Return the files of figures in a folder, whether they exist or not."""
+    return [folder / f"{name}.{suffix}" for name in figures for suffix in _FORMATS]
+
+
+def _drawn(figure: Figure, suffix: str) -> bytes:
+    """Return the file of a figure, drawn in memory: matplotlib fails with obscure errors on a full disk."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=suffix, **_FORMATS[suffix])
+    return stream.getvalue()
 
 
 def _figure(rows: int) -> tuple[Figure, list[Any]]:
@@ -160,13 +173,24 @@ def _step_hours(data: xr.Dataset) -> float:
 
 def _steps(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
     """Plot a quantity that is constant during each stage."""
-    times = np.append(data["time"].values, data["time"].values[-1] + _step_hours(data))
-    axis.step(times, np.append(values, values[-1]), where="post", linewidth=1.2, **style)
+    axis.step(_ends(data), np.append(values, values[-1]), where="post", linewidth=1.2, **style)
 
 
-def _line(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
-    """Plot a quantity at the start of each stage."""
-    axis.plot(data["time"].values, values, linewidth=1.2, marker=".", markersize=3, **style)
+def _line(axis: Any, data: xr.Dataset, starts: Any, ends: Any, **style: Any) -> None:
+    """Plot a state at the start of each stage and at the end of the last."""
+    axis.plot(_ends(data), np.append(starts, ends[-1]), linewidth=1.2, marker=".", markersize=3, **style)
+
+
+def _key(axis: Any) -> None:
+    """Explain the line styles of active and reactive power in the legend."""
+    for style, label in (("-", "active"), ("--", "reactive")):
+        axis.plot([], [], color="0.4", linewidth=1.2, linestyle=style, label=label)
+
+
+def _ends(data: xr.Dataset) -> Any:
+    """Start of each stage and end of the last, h."""
+    times = data["time"].values
+    return np.append(times, times[-1] + _step_hours(data))
 
 
 def _total(data: xr.Dataset, quantity: str) -> Any:

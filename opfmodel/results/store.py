@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import os
-import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.files import check_file, read_text
+from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError
+from opfmodel.results.figures import figure_paths
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["finite", "load", "remove_temporaries", "replace", "save"]
+__all__ = ["finite", "load", "save"]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
-_TEMPORARY = re.compile(r"\.(?P<name>.+)\.[0-9]+")  # name used by replace, with a process id
 
 
-def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> dict[str, object]:
+def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` to a folder, creating it if necessary.
 
-    Each file is written under a temporary name and then renamed, so files are never incomplete.
+    Afterwards, the folder describes this run only: figures of an earlier run are deleted, and so are
+    its trajectories if this run has none. Files are never incomplete; on a full disk, those of the
+    earlier run are kept.
+
+    Parameters
+    ----------
+    data
+        Trajectories; None for a run without a completed step.
 
     Returns
     -------
@@ -40,21 +48,26 @@ def save(data: xr.Dataset, summary: Mapping[str, object], folder: Path) -> dict[
     ResultError
         The folder cannot be created or written.
     """
-    saved = dict(summary)
-
-    def write(path: Path) -> None:
-        data.to_netcdf(path, engine="h5netcdf")
-        saved[_DIGEST] = _digest(path)
-        (folder / _SUMMARY).unlink(missing_ok=True)  # it describes the trajectories being replaced
-
+    trajectories, file = folder / _DATA, folder / _SUMMARY
+    saved, contents = dict(summary), {}
+    if data is not None:
+        contents[trajectories] = _netcdf(data)
+        saved[_DIGEST] = hashlib.sha256(contents[trajectories]).hexdigest()
+    contents[file] = (json.dumps(finite(saved), indent=2, allow_nan=False) + "\n").encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        replace(folder / _DATA, write)
-        text = json.dumps(finite(saved), indent=2, allow_nan=False) + "\n"
-        replace(folder / _SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
+        # the summary goes first and comes last: a process that is killed leaves none rather than a wrong one
+        replace(contents, obsolete=[file, trajectories, *figure_paths(folder)])
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
     return saved
+
+
+def _netcdf(data: xr.Dataset) -> bytes:
+    """Return a dataset as a NetCDF file, made in memory: HDF5 crashes if the disk is full."""
+    stream = io.BytesIO()
+    data.to_netcdf(stream, engine="h5netcdf")
+    return stream.getvalue()
 
 
 def finite(value: Any) -> Any:
@@ -81,15 +94,20 @@ def load(folder: str | Path) -> xr.Dataset:
     path = Path(folder)
     path = path / _DATA if os.path.isdir(path) else path  # noqa: PTH112 - any text
     if not os.path.lexists(path):
-        raise ResultError(f"{path}: no such file; 'opfmodel run' creates it")
+        summary = _summary(path)
+        stepless = summary is not None and _DIGEST not in summary
+        reason = "the run in this folder completed no step" if stepless else "'opfmodel run' creates it"
+        raise ResultError(f"{path}: no such file; {reason}")
     check_file(path, ResultError, most_bytes=sys.maxsize)
     _check_digest(path)
+    if not h5py.is_hdf5(path):  # h5netcdf prints a traceback for such files
+        raise ResultError(f"{path}: not a result of opfmodel: is not a NetCDF 4 file")
     try:
-        with h5py.File(path, "r") as file:  # h5netcdf prints a traceback for files that are not HDF5
+        with h5py.File(path, "r") as file:
             dict(file.attrs)
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
-        raise ResultError(f"{path}: not a result of opfmodel: {' '.join(str(error).split())}") from error
+        raise ResultError(f"{path}: not a result of opfmodel: the NetCDF file is damaged") from error
     lacking = [name for name in ("time", "bus", "pd", "qd") if name not in data.variables]
     if lacking:
         raise ResultError(f"{path}: not a result of opfmodel: {lacking[0]!r} is missing")
@@ -101,64 +119,23 @@ def _check_digest(path: Path) -> None:
 
     Without this check, the NetCDF libraries may hang on a damaged file.
     """
-    summary = path.with_name(_SUMMARY)
-    if path.name != _DATA or not summary.exists():
-        return
-    try:
-        known = json.loads(read_text(summary, ResultError))
-    except (ValueError, RecursionError) as error:
-        raise ResultError(f"{summary}: not JSON: {error}") from error
-    saved = known.get(_DIGEST) if isinstance(known, dict) else None
+    saved = (_summary(path) or {}).get(_DIGEST)
     if saved is not None and saved != _digest(path):
         raise ResultError(f"{path}: the checksum differs from that in {_SUMMARY}; repeat the run")
+
+
+def _summary(path: Path) -> dict[str, Any] | None:
+    """Return the summary beside trajectories; None if there is none, as for files of another name."""
+    file = path.with_name(_SUMMARY)
+    if path.name != _DATA or not file.exists():
+        return None
+    try:
+        known = json.loads(read_text(file, ResultError))
+    except (ValueError, RecursionError) as error:
+        raise ResultError(f"{file}: not JSON: {error}") from error
+    return known if isinstance(known, dict) else None
 
 
 def _digest(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a temporary name, flush it to disk, and rename it.
-
-    Parameters
-    ----------
-    write
-        Function that writes to the given path, which does not exist.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.unlink(missing_ok=True)  # left by a killed process with the same id, or a link
-        write(temporary)
-        _sync(temporary)
-        temporary.replace(path)
-        _sync(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def remove_temporaries(folder: Path, names: re.Pattern[str]) -> None:
-    """Delete temporary files that killed processes left in a folder used by this process only.
-
-    Parameters
-    ----------
-    names
-        Names of the files written there by :func:`replace`. Only regular files with the temporary name
-        of such a file are deleted.
-    """
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            match = _TEMPORARY.fullmatch(entry.name)
-            if match and names.fullmatch(match["name"]) and entry.is_file(follow_symlinks=False):
-                Path(entry.path).unlink()
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to disk."""
-    if path.is_dir() and os.name == "nt":
-        return  # Windows cannot open folders, and renaming is durable there
-    descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

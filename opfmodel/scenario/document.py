@@ -40,19 +40,27 @@ class Document:
     ----------
     content
         Dictionaries, lists, strings, numbers, booleans and None.
+    origin
+        What errors cite instead of a position in the file, such as an option of the command line.
     """
 
     path: Path
     content: Any
     place: Place
+    origin: str | None = None
+
+    @property
+    def is_study(self) -> bool:
+        """Whether the content is that of a study, not of a scenario."""
+        keys = self.content if isinstance(self.content, dict) else ()
+        return "vary" in keys or ("scenario" in keys and "network" not in keys)
 
     def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
         """Return an error with file, line, column and key; a missing key has its parent's position."""
         place = self.place.at(key)
         name = ".".join(str(part) for part in key)
-        return ScenarioError(
-            f"{self.path}:{place.line}:{place.column}: {name + ': ' if name else ''}{message}"
-        )
+        where = self.origin or f"{self.path}:{place.line}:{place.column}"
+        return ScenarioError(f"{where}: {name + ': ' if name else ''}{message}")
 
     @contextmanager
     def located(self, *key: str | int) -> Iterator[None]:

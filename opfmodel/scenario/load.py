@@ -140,8 +140,9 @@ def laid_over(
     """
     if not isinstance(document.content, dict):
         raise document.error((), "a scenario is a mapping with at least the key 'network'")
-    if "vary" in document.content:
-        raise document.error(("vary",), "this file is a study; run it with 'opfmodel study run'")
+    if document.is_study:
+        key = "vary" if "vary" in document.content else "scenario"
+        raise document.error((key,), "this file is a study; run it with 'opfmodel study run'")
     content = deepcopy(document.content)
     if variant is not None:
         variants = content.get("variants") or {}

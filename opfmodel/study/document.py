@@ -6,21 +6,23 @@ import itertools
 import json
 import math
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from opfmodel.errors import IncompatibleError, ScenarioError
-from opfmodel.scenario import load_scenario
+from opfmodel.scenario import laid_over, load_scenario
 from opfmodel.scenario.document import Document, check_name, check_printable, read_document, validated
+from opfmodel.study.files import check_relative
 
 __all__ = ["Axis", "Study", "Variation", "read_study"]
 
 Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
+Keys = tuple[str, ...]
 
 _MOST_RUNS = 100_000  # each run has a record and a row
 
@@ -43,7 +45,7 @@ class Axis:
     Attributes
     ----------
     name
-        A dotted key of the scenario, ``scenario`` or ``variant``; for bundles of keys, any name.
+        A dotted key of the scenario, ``scenario`` or ``variant``; for sets of keys, any name.
     labels
         Label of each point in the table.
     changes
@@ -138,11 +140,10 @@ def read_study(path: str | Path) -> Study:
     for key in ("scenario", "variant"):
         if key in file.set:
             raise document.error(("set", key), "is a key of the study; move it out of 'set'")
+    _check_bundle(document, ("set",), file.set)
     base = {"scenario": file.scenario, "variant": file.variant, **file.set}
     axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
-    for one, other in itertools.combinations(axes, 2):
-        for key in sorted(_common(one, other)):
-            raise document.error(("vary", other.name), f"{key!r} is already varied by {one.name!r}")
+    _check_axes(document, axes)
     if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
         raise document.error(("scenario",), "this key is missing")
     runs = math.prod(len(axis.labels) for axis in axes)
@@ -151,12 +152,12 @@ def read_study(path: str | Path) -> Study:
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
     study = Study(name, document.path, base, axes)
-    _check(document, study)
+    _Trial(document, study).check()
     return study
 
 
 def _axis(document: Document, name: str, content: Any) -> Axis:
-    """Build an axis from a list of values of one key, or from named bundles of keys."""
+    """Build an axis from a list of values of one key, or from named sets of keys."""
     key: Key = ("vary", name)
     labels: tuple[Any, ...]
     changes: tuple[Changes, ...]
@@ -167,17 +168,20 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         labels = places = tuple(content)
         changes = tuple(content.values())
     else:
-        raise document.error(key, "must be a list of values, or a mapping from names to bundles of keys")
+        raise document.error(key, "must be a list of values, or a mapping from names to sets of keys")
     if not labels:
         raise document.error(key, "needs at least one value")
     check_printable(document, key, name)
     positions = tuple((*key, place) for place in places)
-    for number, (label, bundle) in enumerate(zip(labels, changes, strict=True)):
-        check_printable(document, positions[number], str(label))
+    known: set[tuple[type, Any]] = set()  # with the type: 1 == True
+    for position, label, bundle in zip(positions, labels, changes, strict=True):
+        check_printable(document, position, str(label))
         if not isinstance(bundle, dict):
-            raise document.error(positions[number], "must be a mapping from dotted keys to values")
-        if (type(label), label) in [(type(other), other) for other in labels[:number]]:
-            raise document.error(positions[number], f"{label!r} is listed twice")
+            raise document.error(position, "must be a mapping from dotted keys to values")
+        _check_bundle(document, position, bundle)
+        if (type(label), label) in known:
+            raise document.error(position, f"{label!r} is listed twice")
+        known.add((type(label), label))
     return Axis(name, labels, changes, positions)
 
 
@@ -188,66 +192,123 @@ def _label(value: Any) -> Any:
     return value if isinstance(value, str | int | float | None) else str(value)
 
 
-def _common(one: Axis, other: Axis) -> set[str]:
-    """Return the keys that both axes set, or that one sets within a value that the other sets."""
-    ends = [
-        {
-            end
-            for changes in axis.changes
-            for key, value in changes.items()
-            for end in _ends(key.split("."), value)
-        }
-        for axis in (one, other)
-    ]
-    starts = [{end[:length] for end in of for length in range(1, len(end) + 1)} for of in ends]
-    within = (ends[0] & starts[1]) | (ends[1] & starts[0])
-    return (one.keys & other.keys) | {".".join(key) for key in within}
+class _Claim(NamedTuple):
+    """A key and what sets it."""
+
+    key: str
+    owner: str
 
 
-def _ends(path: Sequence[str], value: Any) -> Iterator[tuple[str, ...]]:
-    """Yield the paths of all keys that a value sets, descending into mappings."""
-    if isinstance(value, Mapping):
+class _Claims:
+    """Which owner sets which keys; no two set the same key, or one inside a value that another sets."""
+
+    def __init__(self) -> None:
+        self._ends: dict[Keys, str] = {}
+        self._starts: dict[Keys, str] = {}
+
+    def add(self, owner: str, paths: Set[Keys]) -> _Claim | None:
+        """Add the keys of an owner, or return the first that an earlier owner sets."""
+        for path in sorted(paths):
+            for start in _starts(path):
+                if start in self._ends:
+                    return _Claim(".".join(start), self._ends[start])
+            if path in self._starts:
+                return _Claim(".".join(path), self._starts[path])
+        for path in paths:
+            self._ends[path] = owner
+            self._starts |= dict.fromkeys(_starts(path), owner)
+        return None
+
+
+def _check_axes(document: Document, axes: tuple[Axis, ...]) -> None:
+    """Raise an error if two axes set the same key."""
+    claims, owners = _Claims(), dict[str, str]()
+    for axis in axes:
+        for key in sorted(axis.keys & owners.keys()):  # of two mappings, a run would take only one
+            raise document.error(("vary", axis.name), f"{key!r} is already varied by {owners[key]!r}")
+        owners |= dict.fromkeys(axis.keys, axis.name)
+        if taken := claims.add(axis.name, {path for changes in axis.changes for path in _paths(changes)}):
+            raise document.error(("vary", axis.name), f"{taken.key!r} is already varied by {taken.owner!r}")
+
+
+def _check_bundle(document: Document, position: Key, changes: Changes) -> None:
+    """Raise an error if two dotted keys of a mapping set the same key of the scenario."""
+    claims = _Claims()
+    for key, value in changes.items():
+        if taken := claims.add(key, set(_paths({key: value}))):
+            raise document.error((*position, key), f"{taken.key!r} is already set by {taken.owner!r}")
+
+
+def _starts(path: Keys) -> list[Keys]:
+    """Return the beginnings of a path, and the path."""
+    return [path[:length] for length in range(1, len(path) + 1)]
+
+
+def _paths(changes: Changes) -> Iterator[Keys]:
+    """Yield the paths of all keys that dotted keys set, descending into mappings."""
+    for key, value in changes.items():
+        yield from _ends(tuple(key.split(".")), value)
+
+
+def _ends(path: Keys, value: Any) -> Iterator[Keys]:
+    if isinstance(value, Mapping) and value:
         for key, inner in value.items():
-            yield from _ends([*path, key], inner)
+            yield from _ends((*path, key), inner)
     else:
-        yield tuple(path)
+        yield path
 
 
-def _check(document: Document, study: Study) -> None:
-    """Check every point of every axis; an error is located at the line of the study that caused it."""
-    origin = (0,) * len(study.axes)
-    error = _refusal(study.variation(origin))
-    if error is not None:
-        raise document.error(_culprit(study), str(error)) from error
-    for number, axis in enumerate(study.axes):
-        for place in range(1, len(axis.labels)):
-            error = _refusal(study.variation((*origin[:number], place, *origin[number + 1 :])))
-            if error is not None:
-                raise document.error(axis.positions[place], str(error)) from error
+class _Trial:
+    """Reading of the scenario at every point of every axis; each file is read once."""
 
+    def __init__(self, document: Document, study: Study) -> None:
+        self.document = document
+        self.study = study
+        self.scenarios: dict[Path, Document] = {}
 
-def _culprit(study: Study) -> Key:
-    """Return what makes the first run invalid: the scenario, ``set``, or the first point of an axis."""
-    bare = {key: study.base[key] for key in ("scenario", "variant")}
-    if study.base["scenario"] is not None:
-        if _refusal(replace(study, base=bare).variation(())) is not None:
-            return ("scenario",)
-        if _refusal(study.variation(())) is not None:
-            return ("set",)
-    for number, axis in enumerate(study.axes[:-1]):
-        point = (0,) * (number + 1)
-        known = study.base["scenario"] is not None or any(
-            "scenario" in a.keys for a in study.axes[: number + 1]
-        )
-        if known and _refusal(study.variation(point)) is not None:
-            return axis.positions[0]
-    return study.axes[-1].positions[0]
+    def check(self) -> None:
+        """Raise the first error, located at the line of the study that caused it."""
+        study, origin = self.study, (0,) * len(self.study.axes)
+        error = self.refusal(study.variation(origin))
+        if error is not None:
+            raise self.document.error(self.culprit(), str(error)) from error
+        for number, axis in enumerate(study.axes):
+            for place in range(1, len(axis.labels)):
+                point = (*origin[:number], place, *origin[number + 1 :])
+                error = self.refusal(study.variation(point))
+                if error is not None:
+                    raise self.document.error(axis.positions[place], str(error)) from error
 
+    def culprit(self) -> Key:
+        """Return what makes the first run invalid: the scenario, ``set``, or the first point of an axis."""
+        study = self.study
+        bare = {key: study.base[key] for key in ("scenario", "variant")}
+        if study.base["scenario"] is not None:
+            if self.refusal(replace(study, base=bare).variation(())) is not None:
+                return ("scenario",)
+            if self.refusal(study.variation(())) is not None:
+                return ("set",)
+        for number, axis in enumerate(study.axes[:-1]):
+            point = (0,) * (number + 1)
+            known = study.base["scenario"] is not None or any(
+                "scenario" in a.keys for a in study.axes[: number + 1]
+            )
+            if known and self.refusal(study.variation(point)) is not None:
+                return axis.positions[0]
+        return study.axes[-1].positions[0]
 
-def _refusal(variation: Variation) -> ScenarioError | None:
-    """Return the error with which a scenario rejects a variation, if any."""
-    try:
-        load_scenario(variation.scenario, variation.variant, variation.overrides)
-    except ScenarioError as error:
-        return None if isinstance(error.__cause__, IncompatibleError) else error
-    return None
+    def refusal(self, variation: Variation) -> ScenarioError | None:
+        """Return the error with which a scenario or a study rejects a variation, if any."""
+        try:
+            scenario = self.scenario(variation.scenario)
+            load_scenario(scenario, variation.variant, variation.overrides)
+            check_relative(scenario, laid_over(scenario, variation.variant, variation.overrides))
+        except ScenarioError as error:
+            return None if isinstance(error.__cause__, IncompatibleError) else error
+        return None
+
+    def scenario(self, path: Path) -> Document:
+        """Return the content of a scenario file."""
+        if path not in self.scenarios:
+            self.scenarios[path] = read_document(path)
+        return self.scenarios[path]

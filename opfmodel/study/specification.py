@@ -18,6 +18,7 @@ from opfmodel.errors import ScenarioError
 from opfmodel.scenario import laid_over
 from opfmodel.scenario.document import Document, read_document
 from opfmodel.study.document import Study, Variation
+from opfmodel.study.files import named_files
 from opfmodel.study.provenance import versions
 
 __all__ = ["Inputs", "Snapshot", "Specification"]
@@ -138,16 +139,7 @@ class Snapshot:
 
     def _inputs(self, document: Document, content: Mapping[str, Any]) -> Inputs:
         """Return the scenario file and every file named by a text in its content."""
-        folder = document.path.parent
-        paths = [document.path]
-        for key, text in _texts(content):
-            named = folder / text
-            found = [named] if os.path.isfile(named) else _tables(named)  # noqa: PTH113 - any text
-            if found and Path(text).is_absolute():
-                raise document.error(
-                    key, f"{text!r}: must be relative to the scenario's folder; studies copy their files"
-                )
-            paths += found
+        paths = [document.path, *named_files(document, content)]
         absolute = {os.path.abspath(path): path for path in paths}  # noqa: PTH100 - keep symbolic links
         root = os.path.commonpath([os.path.dirname(name) for name in absolute])  # noqa: PTH120
         names = {os.path.relpath(name, root): self._file(path) for name, path in absolute.items()}
@@ -157,23 +149,6 @@ class Snapshot:
         if path not in self._files:
             self._files[path] = read_bytes(path, ScenarioError)
         return self._files[path]
-
-
-def _texts(content: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield all texts in nested mappings and lists, with their path of keys."""
-    if isinstance(content, str):
-        yield key, content
-    elif isinstance(content, Mapping):
-        for part, value in content.items():
-            yield from _texts(value, (*key, part))
-    elif isinstance(content, list):
-        for place, value in enumerate(content):
-            yield from _texts(value, (*key, place))
-
-
-def _tables(folder: Path) -> list[Path]:
-    """Return the tables of a network that is a folder of CSV files."""
-    return sorted(folder.glob("*.csv")) if os.path.isdir(folder) else []  # noqa: PTH112 - any text
 
 
 def _holds(path: Path, content: bytes) -> bool:

@@ -14,6 +14,7 @@ its file name. A file that fails either test is not trusted; the run of such a r
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -24,8 +25,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from opfmodel.data.writing import remove_temporaries, replace
 from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
-from opfmodel.results import remove_temporaries, replace
+from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
@@ -44,6 +46,14 @@ _MOST_NAMED = 10
 
 # First columns after the axes; present even before any run has finished.
 _COLUMNS = ("key", "status", "termination", "error", "cost", "steps", "max_violation", "iterations")
+
+# Columns that finished runs may add.
+_LATER = (
+    *("unchecked", "retries", "diagnosis", "iterations_mean", "elastic_steps"),
+    *("redispatched_mwh", "shed_mwh", "curtailed_mwh", "violated_steps", "unsolved_steps"),
+    *(f"largest_{name}" for name in DESCRIBED if name.endswith("_excess")),
+    *("time_build_seconds", "time_solve_seconds_mean", "time_solve_seconds_max", "time_total_seconds"),
+)
 
 
 @dataclass(frozen=True)
@@ -191,9 +201,10 @@ class Store:
         """Write the table of all runs."""
         import pyarrow.parquet as pq
 
-        table = _table(self.rows()[0])
+        stream = io.BytesIO()
+        pq.write_table(_table(self.rows()[0]), stream)
         with self._writing(self.table):
-            replace(self.table, lambda path: pq.write_table(table, path))
+            replace({self.table: stream.getvalue()})
 
     @property
     def _index(self) -> Path:
@@ -209,20 +220,26 @@ class Store:
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
         text = sealed(content)
         with self._writing(path):
-            replace(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+            replace({path: text.encode()})
 
     @contextmanager
     def _writing(self, path: Path) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            kept = len(list(self._runs.glob("*.json"))) if os.path.isdir(self._runs) else 0  # noqa: PTH112 - any text
+            kept, reason = self._kept(), f"{path}: results cannot be written: {error.strerror or error}"
             raise ResultError(
-                f"{path}: results cannot be written: {error.strerror or error}; "
-                f"the {kept} finished runs in {self.folder} are kept, and the same command resumes the study"
+                f"{reason}; the {kept} finished runs in {self.folder} are kept, and the same command "
+                "resumes the study"
                 if kept
-                else f"{path}: results cannot be written: {error.strerror or error}"
+                else reason
             ) from error
+
+    def _kept(self) -> int:
+        """Return the number of trusted records in the folder, of this study or another."""
+        names = os.listdir(self._runs) if os.path.isdir(self._runs) else []  # noqa: PTH112, PTH208 - any text
+        found, _ = self.records(name.removesuffix(".json") for name in names if _RECORDS.fullmatch(name))
+        return len(found)
 
     def _owner(self) -> str:
         """Describe the process that started last, for messages."""
@@ -268,12 +285,13 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
     Raises
     ------
     ResultError
-        The table has no such column.
+        The table has no such column, and will not have it after the runs that are waiting.
     """
     names = list(rows[0])
+    known = {*names, *_LATER} if any(row["status"] == "waiting" for row in rows) else {*names}
     for name in wanted or ():
-        if name not in names:
-            raise ResultError(f"the table has no column {name!r}; {nearest(name, names)}")
+        if name not in known:
+            raise ResultError(f"the table has no column {name!r}; {nearest(name, known)}")
     if wanted:
         return list(wanted)
     aside = ("key", "termination", "diagnosis")

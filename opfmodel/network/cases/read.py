@@ -80,7 +80,7 @@ def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
             # powerio refuses symbolic links, so they are resolved first.
             module = powerio.parse(str(path.resolve()), format=format)
     except (powerio.PowerIOError, OSError, UnicodeError) as error:
-        raise CaseError(f"{path}: cannot be read as a network: {error}") from error
+        raise CaseError(f"{path}: {_reason(error, format)}") from error
     diagnostics = list(module.diagnostics)
     if source is not None:
         if source.changes and any(d.code == _NOT_EVALUATED for d in diagnostics):
@@ -94,6 +94,17 @@ def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
     return module, source
 
 
+def _reason(error: Exception, format: str | None) -> str:
+    """Describe why powerio cannot read a file, without its error codes."""
+    code = getattr(error, "code", None)
+    if code == _UNKNOWN_FORMAT:
+        unknown = "the format cannot be inferred" if format is None else f"no format is named {format!r}"
+        return f"cannot be read as a network: {unknown}; accepted are {_FORMATS}"
+    return f"cannot be read as a network: {str(error).removeprefix(f'{code}: ')}"
+
+
+_FORMATS = "MATPOWER .m, PSS/E .raw, pandapower JSON, PyPSA CSV folders and the other formats of powerio"
+_UNKNOWN_FORMAT = "REQUEST.FORMAT.UNKNOWN"
 _NOT_EVALUATED = "READ.MATPOWER.INDEXED_ASSIGNMENT"
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
@@ -55,7 +56,7 @@ def write_network(network: Network, path: str | Path) -> Path:
         warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
     text = str(emitted.text).replace("mpc = from_ppc", f"mpc = {_identifier(path.stem)}")
     try:
-        path.write_text(text + _storage_table(path, network, ids), encoding="utf-8")
+        replace({path: (text + _storage_table(path, network, ids)).encode()})
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         raise CaseError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
     return path
