@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -21,6 +21,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
 __all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
@@ -161,13 +162,5 @@ def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
     """Return the schema of the mapping at a path of keys."""
     for part in key:
         if str(part) in model.model_fields:
-            model = next(_models(model.model_fields[str(part)].annotation), model)
+            model = next(schemas(model.model_fields[str(part)].annotation), model)
     return model
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the schemas among the alternatives of an annotation."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _models(part)

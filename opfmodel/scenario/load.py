@@ -21,6 +21,7 @@ from opfmodel.plan import End, MultiStage
 from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
+from opfmodel.scenario.overlay import laid
 from opfmodel.scenario.parts import make_forecast, make_objective, make_plant, make_profiles, make_setpoints
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
@@ -142,18 +143,20 @@ def laid_over(
         raise document.error((), "a scenario is a mapping with at least the key 'network'")
     if "vary" in document.content:
         raise document.error(("vary",), "this file is a study; run it with 'opfmodel study run'")
-    content = deepcopy(document.content)
+    content: Any = deepcopy(document.content)
     if variant is not None:
         variants = content.get("variants") or {}
         if not isinstance(variants, dict) or variant not in variants:
             raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
-        content = _overlay(content, variants[variant])
+        content = laid(content, [variants[variant]], ScenarioFile)
+    nested = []
     for key, value in (overrides or {}).items():
         parts = key.split(".")
         if len(parts) > MOST_LEVELS:
             raise document.error((), f"{shown(key)}: has {len(parts)} parts; a key has at most {MOST_LEVELS}")
-        content = _overlay(content, _nested(parts, value))
-    return content
+        nested.append(_nested(parts, value))
+    laid_out: dict[str, Any] = laid(content, nested, ScenarioFile)
+    return laid_out
 
 
 def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
@@ -169,13 +172,6 @@ def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] 
             raise document.error(
                 (*key, part), f"{shown(value)}: must be a finite number of at most {LARGEST:g}"
             )
-
-
-def _overlay(base: Any, over: Any) -> Any:
-    """Merge ``over`` into ``base``: mappings key by key, anything else replaced."""
-    if isinstance(base, dict) and isinstance(over, dict):
-        return {**base, **{key: _overlay(base.get(key), value) for key, value in over.items()}}
-    return over
 
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:
