@@ -123,7 +123,10 @@ def test_the_latest_issue_of_a_file_applies(tmp_path: Path) -> None:
         ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
         ("issued,town.p\n3,1\n", "issued by step 1; .* 3$"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
-        ("hour,twon.p\n" + 9 * "0,1\n", "column 'twon.p': there is no such series"),
+        (
+            "hour,twon.p\n" + 9 * "0,1\n",
+            "column 'twon.p': the profiles have no such series; did you mean 'town.p'",
+        ),
     ],
 )
 def test_errors_in_a_file(tmp_path: Path, text: str, message: str) -> None:

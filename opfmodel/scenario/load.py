@@ -22,7 +22,13 @@ from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
 from opfmodel.scenario.overlay import laid
-from opfmodel.scenario.parts import make_forecast, make_objective, make_plant, make_profiles, make_setpoints
+from opfmodel.scenario.parts import (
+    make_forecast,
+    make_objective,
+    make_plant,
+    make_profiles,
+    planned_objective,
+)
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
 from opfmodel.simulation import check_response
@@ -69,20 +75,15 @@ def load_scenario(
     profiles = make_profiles(document, settings, network)
     forecast = make_forecast(document, settings)
     constraints = read_constraints(document, settings)
-    objective = cost
-    if settings.controller.objective is not None:
 
-        def single_stages() -> Setpoints:
-            return scenario.single_stages(settings.length).setpoints()
+    def single_stages() -> Setpoints:
+        return scenario.single_stages(settings.length).setpoints()
 
-        def setpoints(value: Any) -> Setpoints:
-            return make_setpoints(value, document, settings.time.steps, network, single_stages)
-
-        key = ("controller", "objective")
-        objective = make_objective(document, key, settings.controller.objective, {Setpoints: setpoints})
+    objective = planned_objective(document, settings, network, cost, single_stages)
     problem = _problem(document, settings, network, profiles, objective)
     for own in constraints.values():
-        problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
+        with document.located("constraints", own.name):
+            problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
     with document.located("plant", "mode"):
         plugins.load("plant", settings.plant.mode)
     with document.located("plant"):
@@ -93,7 +94,7 @@ def load_scenario(
     with document.located("forecast"):
         check_response(forecast, plant)
     title = name if variant is None else f"{name}:{variant}"
-    scenario = Scenario(title, document.path, problem, cost, forecast, settings)
+    scenario = Scenario(title, document, problem, cost, forecast, settings)
     return scenario
 
 

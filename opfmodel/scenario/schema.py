@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, FailFast, Field, model_validator
+from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, model_validator
 
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
@@ -114,7 +114,17 @@ class ScenarioFile(Section):
     plant: Annotated[PlantSection, _BY_MODE] = Field(default_factory=PlantSection)
     constraints: dict[str, Any] = Field(default_factory=dict)
     published: PublishedSection | None = None
-    variants: dict[str, dict[str, Any]] = Field(default_factory=dict, max_length=_MOST_VARIANTS)
+    variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @field_validator("variants", mode="before")
+    @classmethod
+    def _few(cls, variants: Any) -> Any:
+        if isinstance(variants, dict) and len(variants) > _MOST_VARIANTS:
+            raise ValueError(
+                f"there are {len(variants):,} variants; at most {_MOST_VARIANTS} are accepted; "
+                "a study has no such limit"
+            )
+        return variants
 
     @property
     def length(self) -> int:
