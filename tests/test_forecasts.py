@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -331,3 +332,16 @@ def test_an_inherited_constructor_has_the_types_of_its_options(
     path = write(tmp_path, "town.p\n1\n")
     made = plugins.make("forecast", "mine", {"file": path.name}, {Path: lambda name: tmp_path / name})
     assert made.file == path
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda fields: Noisy(0.05, 3, fields=fields), lambda fields: Persistence(fields=fields)],
+    ids=["noisy", "persistence"],
+)
+def test_a_field_that_no_component_has_is_refused(make: Callable[[tuple[str, ...]], object]) -> None:
+    with pytest.raises(ProfileError, match=r"fields: 'pmax': .* did you mean 'p_max'"):
+        make(("p", "pmax"))
+    with pytest.raises(ProfileError, match="fields: 'charge_efficiency'"):
+        make(("charge_efficiency",))
+    make(("p", "p_min", "c1", "rating"))
