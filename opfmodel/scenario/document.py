@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from opfmodel.data.faults import fault_message
 from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
@@ -145,17 +146,16 @@ def _path(content: Any, fault: Mapping[str, Any]) -> Key:
 
 def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> str:
     if fault["type"] == "extra_forbidden":
-        return f"unknown key; {nearest(str(key[-1]), _model_at(model, key[:-1]).model_fields)}"
-    if fault["type"] == "missing":
-        return "this key is missing"
+        known = _model_at(model, key[:-1]).model_fields
+        parts = str(key[-1]).split(".")
+        if len(parts) > 1 and parts[0] in known:
+            return f"unknown key; nest it: {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
+        return f"unknown key; {nearest(str(key[-1]), known)}"
     value = fault.get("input")
-    given = f"{shown(value)}: " if isinstance(value, str | int | float | bool | None) else ""
-    if fault["type"] in ("model_type", "dict_type"):
-        keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
-        return f"{given}must be a mapping" + (f"; accepted keys are {', '.join(keys)}" if keys else "")
-    if fault["type"] == "value_error":
-        return f"{given}{fault['ctx']['error']}"
-    return f"{given}{fault['msg'][0].lower()}{fault['msg'][1:]}"
+    scalar = isinstance(value, str | int | float | bool | None) and fault["type"] != "missing"
+    keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
+    accepted = f"; accepted keys are {', '.join(keys)}" if keys else ""
+    return f"{f'{shown(value)}: ' if scalar else ''}{fault_message(fault)}{accepted}"
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:

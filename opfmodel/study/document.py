@@ -43,7 +43,7 @@ class Axis:
     Attributes
     ----------
     name
-        A dotted key of the scenario, ``scenario`` or ``variant``; for bundles of keys, any name.
+        A dotted key of the scenario, ``scenario`` or ``variant``; for sets of keys, any name.
     labels
         Label of each point in the table.
     changes
@@ -156,7 +156,7 @@ def read_study(path: str | Path) -> Study:
 
 
 def _axis(document: Document, name: str, content: Any) -> Axis:
-    """Build an axis from a list of values of one key, or from named bundles of keys."""
+    """Build an axis from a list of values of one key, or from named sets of keys."""
     key: Key = ("vary", name)
     labels: tuple[Any, ...]
     changes: tuple[Changes, ...]
@@ -167,7 +167,7 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         labels = places = tuple(content)
         changes = tuple(content.values())
     else:
-        raise document.error(key, "must be a list of values, or a mapping from names to bundles of keys")
+        raise document.error(key, "must be a list of values, or a mapping from names to sets of keys")
     if not labels:
         raise document.error(key, "needs at least one value")
     check_printable(document, key, name)
