@@ -281,7 +281,16 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
         ("network: {}\n", "has no bus in service"),
         ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),
         ("network: {buses: {a: 3}}\n", "must be a mapping from fields to values"),
-        (MINIMAL + "cost: [1]\n", "cost"),
+        (MINIMAL + "cost: [1]\n", r":4:8: cost.0: 1: must be text or a mapping"),
+        (
+            MINIMAL + "controller: {solver: 1}\n",
+            "controller.solver: 1: must be text or a mapping; .* name, options",
+        ),
+        (MINIMAL + "forecast: {persistence: {fields: p}}\n", r":4:26: .*fields = 'p': must be a list"),
+        (
+            MINIMAL + "forecast: {noisy: {deviation: 0.1, seed: 1, fields: [pmax]}}\n",
+            ":4:12: .*'pmax'.*'p_max'",
+        ),
         (MINIMAL + "cost: []\n", "needs at least one objective"),
         (MINIMAL + "profiles: [{a: 1, b: 2}]\n", "one name with its options, not 2 keys"),
         (MINIMAL + "a: &a [1,1]\nb: &b [*a,*a]\n", "unknown key"),

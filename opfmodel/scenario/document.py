@@ -129,8 +129,9 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
         faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]
         # each branch of a union reports an error; the deepest is the most specific
-        key, fault = max((f for f in faults if f[0][: len(outer)] == outer), key=lambda f: len(f[0]))
-        raise document.error(key, _explained(fault, key, model)) from None
+        key = max((path for path, _ in faults if path[: len(outer)] == outer), key=len)
+        explained = _explained([fault for path, fault in faults if path == key], key, model)
+        raise document.error(key, explained) from None
 
 
 def _path(content: Any, fault: Mapping[str, Any]) -> Key:
@@ -144,7 +145,9 @@ def _path(content: Any, fault: Mapping[str, Any]) -> Key:
     return (*key, fault["loc"][-1]) if fault["type"] == "missing" else tuple(key)
 
 
-def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> str:
+def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseModel]) -> str:
+    """Return what is wrong with the value of a key, and what the branches of its type accept."""
+    fault = faults[0]
     if fault["type"] == "extra_forbidden":
         known = _model_at(model, key[:-1]).model_fields
         parts = str(key[-1]).split(".")
@@ -153,9 +156,11 @@ def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> st
         return f"unknown key; {nearest(str(key[-1]), known)}"
     value = fault.get("input")
     scalar = isinstance(value, str | int | float | bool | None) and fault["type"] != "missing"
-    keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
-    accepted = f"; accepted keys are {', '.join(keys)}" if keys else ""
-    return f"{f'{shown(value)}: ' if scalar else ''}{fault_message(fault)}{accepted}"
+    of_model = any(fault["type"] == "model_type" for fault in faults)
+    keys = ", ".join(_model_at(model, key).model_fields) if of_model else ""
+    first, *others = dict.fromkeys(map(fault_message, faults))
+    message = " or ".join([first, *(other.removeprefix("must be ") for other in others)])
+    return (f"{shown(value)}: " if scalar else "") + message + (f"; accepted keys are {keys}" if keys else "")
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
