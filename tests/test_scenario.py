@@ -11,12 +11,16 @@ import pytest
 from conftest import DATA, SCENARIOS
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 import opfmodel as om
 from opfmodel.errors import OpfmodelError, ProfileWarning, ScenarioError
 from opfmodel.network import arrays
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.network import name_pattern
 from opfmodel.objectives.base import WeightedSum
+from opfmodel.scenario import declarations
+from opfmodel.scenario.schema import ScenarioFile
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
 MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
@@ -304,6 +308,30 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
 def test_odd_documents(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=message):
         om.load_scenario(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("key", ["cost", "profiles", "controller.objective"])
+def test_of_many_invalid_entries_only_the_first_is_examined(key: str) -> None:
+    content: Any = {"network": {}, "controller": {}}
+    section, _, last = key.rpartition(".")
+    (content[section] if section else content)[last] = [200.5] * 1000
+    with pytest.raises(ValidationError) as caught:
+        ScenarioFile.model_validate(content)
+    assert caught.value.error_count() <= 4  # one per branch of the types
+
+
+def test_literal_names_are_updated_without_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+
+    def counted(name: str) -> Any:
+        searched.append(name)
+        return name_pattern(name)
+
+    monkeypatch.setattr(declarations, "name_pattern", counted)
+    text = MINIMAL + "  update: {a: {vm: [0.8, 1]}, 'g*': {ramp: 4}}\n"
+    network = om.load_scenario(write(tmp_path, text)).network
+    assert (network.a.vm, network.g.ramp) == ((0.8, 1), 4)
+    assert searched == ["g*"]
 
 
 def test_an_unreadable_file_is_an_error(tmp_path: Path) -> None:
