@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import opfmodel as om
 from opfmodel.cli.app import app
+from opfmodel.errors import ScenarioError
 from opfmodel.scenario import laid_over, load_scenario
 from opfmodel.scenario.document import read_document
 from opfmodel.study import read_study
@@ -126,3 +127,9 @@ def test_set_and_study_axes_replace_plugins(tmp_path: Path) -> None:
         {"noisy": {"deviation": 0.05, "seed": 4}},
         {"persistence": {"period": 2}},
     ]
+
+
+@pytest.mark.parametrize("variant", ["null", "5", "[1]"])
+def test_a_variant_that_is_no_mapping_is_refused_with_its_position(variant: str, tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r":5:3: variants\.v: .*must be a mapping"):
+        laid(tmp_path, "", variant)

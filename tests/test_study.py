@@ -134,7 +134,7 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
     ("old", "new", "message"),
     [
         ("vary:", "varied:", r"study.yaml:2:1: varied: unknown key; did you mean 'variant' or 'vary'\?"),
-        ("scenario: tiny.yaml", "scenario: 3", r"study.yaml:1:1: scenario: 3: input should be a valid string"),
+        ("scenario: tiny.yaml", "scenario: 3", r"study.yaml:1:1: scenario: 3: must be text"),
         ("scenario: tiny.yaml\n", "", r"study.yaml:1:1: scenario: this key is missing"),
         ("scenario: tiny.yaml", "scenario: none.yaml", r"study.yaml:1:1: scenario: .*none.yaml: no such file"),
         ("scenario: tiny.yaml", "set: {variant: heavy}", r"set.variant: is a key of the study"),

@@ -138,7 +138,7 @@ def laid_over(
     Raises
     ------
     ScenarioError
-        The document is not a mapping, or has no such variant.
+        The document or the variant is not a mapping, or there is no such variant.
     """
     if not isinstance(document.content, dict):
         raise document.error((), "a scenario is a mapping with at least the key 'network'")
@@ -149,7 +149,12 @@ def laid_over(
         variants = content.get("variants") or {}
         if not isinstance(variants, dict) or variant not in variants:
             raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
-        content = laid(content, [variants[variant]], ScenarioFile)
+        over = variants[variant]
+        if not isinstance(over, dict):
+            raise document.error(
+                ("variants", variant), f"{shown(over)}: must be a mapping of keys to override"
+            )
+        content = laid(content, [over], ScenarioFile)
     nested = []
     for key, value in (overrides or {}).items():
         parts = key.split(".")
