@@ -83,3 +83,13 @@ def test_variants_are_limited_in_number(tmp_path: Path) -> None:
     empty = ", ".join(f"v{number}: {{}}" for number in range(201))
     with pytest.raises(ScenarioError, match=r":9:1: variants: .*201.* at most 200 .*study"):
         om.load_scenario(written(tmp_path, f"variants: {{{empty}}}\n"))
+
+
+def test_set_points_of_a_file_cover_the_last_horizon(tmp_path: Path) -> None:
+    (tmp_path / "setpoints.csv").write_text("g.pg\n" + 9 * "50\n")
+    text = "controller: {horizon: 3, formulation: dc, objective: {setpoint-tracking: {setpoints: {file: setpoints.csv}}}}\n"
+    path = written(tmp_path, text)
+    assert validate(path) == 0
+    (tmp_path / "setpoints.csv").write_text("g.pg\n" + 5 * "50\n")
+    with pytest.raises(ScenarioError, match=r"controller.objective.*5 rows; 6 are needed"):
+        validate(path)

@@ -137,7 +137,7 @@ def planned_objective(
         return cost
 
     def setpoints(value: Any) -> Setpoints:
-        return _setpoints(value, document, settings.time.steps, network, single_stages)
+        return _setpoints(value, document, settings.length, network, single_stages)
 
     return make_objective(document, ("controller", "objective"), stated, {Setpoints: setpoints})
 
