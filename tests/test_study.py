@@ -148,7 +148,7 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("other.csv", "nosuch.csv", r"study.yaml:6:5: vary.demand.forecast: .*nosuch.csv: no such file"),
         ("measured: {}", "measured: {variant: hevy}", r"study.yaml:5:5: .*no variant 'hevy'; did you mean 'heavy'"),
         ("[1, 2, 3]", "!!python/object:os.system [1]", r"the tag .* is not accepted"),
-        ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*valid integer"),
+        ("[1, 2, 3]", "[1, 2020-01-01]", r"study.yaml:3:27: vary.controller.horizon.1: .*must be an integer"),
         ("controller.horizon: [1", "cost: [{economic: {since: 2020-01-01}}", r"study.yaml:3:10: .*no option 'since'"),
         ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is .* by"),
         ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is .* by 'controller.horizon'"),
