@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +124,10 @@ def test_the_latest_issue_of_a_file_applies(tmp_path: Path) -> None:
         ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
         ("issued,town.p\n3,1\n", "issued by step 1; .* 3$"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
-        ("hour,twon.p\n" + 9 * "0,1\n", "column 'twon.p': there is no such series"),
+        (
+            "hour,twon.p\n" + 9 * "0,1\n",
+            "column 'twon.p': the profiles have no such series; did you mean 'town.p'",
+        ),
     ],
 )
 def test_errors_in_a_file(tmp_path: Path, text: str, message: str) -> None:
@@ -328,3 +332,16 @@ def test_an_inherited_constructor_has_the_types_of_its_options(
     path = write(tmp_path, "town.p\n1\n")
     made = plugins.make("forecast", "mine", {"file": path.name}, {Path: lambda name: tmp_path / name})
     assert made.file == path
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda fields: Noisy(0.05, 3, fields=fields), lambda fields: Persistence(fields=fields)],
+    ids=["noisy", "persistence"],
+)
+def test_a_field_that_no_component_has_is_refused(make: Callable[[tuple[str, ...]], object]) -> None:
+    with pytest.raises(ProfileError, match=r"fields: 'pmax': .* did you mean 'p_max'"):
+        make(("p", "pmax"))
+    with pytest.raises(ProfileError, match="fields: 'charge_efficiency'"):
+        make(("charge_efficiency",))
+    make(("p", "p_min", "c1", "rating"))

@@ -11,12 +11,16 @@ import pytest
 from conftest import DATA, SCENARIOS
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 import opfmodel as om
 from opfmodel.errors import OpfmodelError, ProfileWarning, ScenarioError
 from opfmodel.network import arrays
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.network import name_pattern
 from opfmodel.objectives.base import WeightedSum
+from opfmodel.scenario import declarations
+from opfmodel.scenario.schema import ScenarioFile
 
 CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
 MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
@@ -147,6 +151,18 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,g.p\n0,1\n0,1\n0,1\n", "a generator has no number 'p'; it has p_min and p_max"),
         ("hour,g.cost\n0,1\n0,1\n0,1\n", "a generator has no number 'cost'"),
         ("hour,g.bus\n0,1\n0,1\n0,1\n", "a generator has no number 'bus'"),
+        (
+            "hour,g.pmax\n0,1\n0,1\n0,1\n",
+            "demand.csv: column 'g.pmax': a generator has .*did you mean 'p_max'",
+        ),
+        (
+            "hour,a.p\n0,1\n0,1\n0,1\n",
+            "demand.csv: column 'a.p': a bus has no number 'p'; available: .*vm_max",
+        ),
+        ("hour;l.p\n0;1\n0;1\n0;1\n", "demand.csv: .*'0;1' is not a number.*separated by ';'"),
+        ("hour;load\n0;1\n0;1\n0;1\n", "demand.csv: no column .* separated by ';'"),
+        ("hour;l.p\n0;1,5\n0;1,5\n0;1,5\n", "line 2: 2 cells for 1 headings.* separated by ';'"),
+        ("hour,ll.p\n0,1\n0,1\n0,1\n", "no component 'll'"),
         ("", "the file is empty"),
         ("hour,l.p,l.p\n0,1,2\n0,1,2\n0,1,2\n", "line 1: duplicate column 'l.p'"),
         ("hour,load\n0,1\n0,1\n0,1\n", "no column is named 'component.field'.* columns are: hour, load"),
@@ -165,9 +181,9 @@ def test_series_from_a_table(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("horizon: 48", "horizn: 48", r":48:3: controller.horizn: unknown key; did you mean 'horizon'\?"),
-        ("horizon: 48", "horizon: many", ":48:3: controller.horizon: 'many': input should be a valid integer"),
-        ("horizon: 48", "horizon: 0", ":48:3: controller.horizon: 0: input should be greater than or equal to 1"),
-        ("horizon: 48", "horizon: 4.5", ":48:3: controller.horizon: 4.5: input should be a valid integer"),
+        ("horizon: 48", "horizon: many", ":48:3: controller.horizon: 'many': must be an integer"),
+        ("horizon: 48", "horizon: 0", ":48:3: controller.horizon: 0: must be at least 1"),
+        ("horizon: 48", "horizon: 4.5", ":48:3: controller.horizon: 4.5: must be an integer"),
         ("horizon: 48", "generator_delay: 3", ":50:3: not YAML: found duplicate key"),
         ("network:", "netwrk:", r"netwrk: unknown key; did you mean 'network'\?|network: this key is missing"),
         ("ramp: 10% of p_max", "rmap: 5", r":25:53: network.generators.gen1.rmap: 5: unknown field of a generator; did"),
@@ -184,9 +200,9 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("  buses:\n", "  busses:\n", r":11:3: network.busses: unknown key; did you mean 'buses'"),
         ("first: 8", "first: 20", ":40:5: profiles.1.step: a step needs 0 <= first <= last"),
         ("loads: [load4], first: 8", "loads: [load9], first: 8", "no load is named 'load9'; did you mean 'load"),
-        ("- scale:", "- scael:", ":39:5: profiles.0.scael: there is no profile 'scael'; did you mean 'scale'"),
-        ("factor: 1.06", "factr: 1.06", ":39:13: profiles.0.scale.factr: profile 'scale' has no option 'factr'"),
-        ("factor: 1.06", "factor: big", ":39:13: profiles.0.scale.factor: .*valid number"),
+        ("- scale:", "- scael:", ":39:5: profiles.0.scael: there is no profile rule 'scael'; did you mean 'scale'"),
+        ("factor: 1.06", "factr: 1.06", ":39:13: profiles.0.scale.factr: profile rule 'scale' has no option 'factr'"),
+        ("factor: 1.06", "factor: big", ":39:13: profiles.0.scale.factor: .*'big': must be a number"),
         ("economic:", "economics:", ":45:3: cost.economics: there is no objective 'economics'; did you mean"),
         ("reactive_weight:", "reactive_wait:", ":45:14: .*has no option 'reactive_wait'; did you mean"),
         ("formulation: ac", "formulation: acc", ":49:3: controller.formulation: there is no formulation 'acc'"),
@@ -197,6 +213,12 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("ramp: 10% of p_max, cost: {c2: 0.0010", "ramp: 1.2.3% of p_max, cost: {c2: 0.0010", ":25:.*gen1.ramp: '1.2.3% of p_max': must be a number"),
         ("10% of p_max, cost: {c2: 0.0010", "10% of q, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* no number 'q'; it has q_min and q_max"),
         ("10% of p_max, cost: {c2: 0.0010", "10% of bus, cost: {c2: 0.0010", ":25:.*gen1.ramp: .* a generator has no number 'bus'"),
+        ("ramp: 10% of p_max", "ramp: 10% of ramp", r":25:53: .*gen1.ramp: '10% of ramp': is a share of itself"),
+        ("ramp: 10% of p_max", f"ramp: {400 * '1'}% of p_max", r":25:53: .*gen1.ramp: '1+\.\.\.: is inf; must be a finite number"),
+        ("base_mva: 100", "base_mva: 100\n  update: {'gn*': {ramp: 5}}", r":11:12: network.update.gn\*: no component matches; available"),
+        ("base_mva: 100", "base_mva: 100\n  update: {gn1: {ramp: 5}}", r":11:12: network.update.gn1: no such component; did you mean 'gen1'"),
+        ("base_mva: 100", "base_mva: 100\n  remove: [cell1, load44]", r":11:19: network.remove.1: .*'load44'; did you mean 'load4'"),
+        ("controller:", "controller.formulation: dc\ncontroller:", r":47:1: controller.formulation: unknown key; nest it: controller: {formulation: \.\.\.}"),
         ("base_mva: 100", "file: a.m\n  default_cost: dear", ":11:3: network.default_cost: 'dear': must be a number"),
         ("factor: 1.06", "factor: -1", ":39:5: profiles.0.scale: scale: factor = -1.0: must be at least 0"),
         ("factor: 1.06", "factor: .nan", ":39:13: profiles.0.scale.factor: nan: must be a finite number"),
@@ -207,14 +229,14 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("base_mva: 100", "base_mva: 1e308", ":10:3: network.base_mva: 1e.308: must be a finite number of at most"),
         ("base_mva: 100", "base_mva: 1e-300", ":10:3: network.base_mva: .* 1e-300: must be a number from 1e-06 to"),
         ("base_mva: 100", "name: [a]", r":10:3: network.name: \['a'\]: must be text"),
-        ("step: 1.0", "step: 0", ":36:8: time.step: 0: input should be greater than or equal to"),
+        ("step: 1.0", "step: 0", ":36:8: time.step: 0: must be at least"),
         ("step: 1.0", "step: 1e300", ":36:8: time.step: 1e.300: must be a finite number of at most"),
-        ("step: 1.0", "step: .inf", ":36:8: time.step: inf: input should be a finite number"),
+        ("step: 1.0", "step: .inf", ":36:8: time.step: inf: must be a finite number"),
         ("r: 0.00281, x: 0.0281", "r: 0, x: 1e-200", r":18:5: network.branches.1-2.*impedance must be at least"),
         ("cost: {c2: 0.0010, c1: 15}", "cost: {c1: .inf}", ":25:73: .*finite numbers"),
         ("cost: {c2: 0.0010, c1: 15}", "cost: {points: [[0, 0], [1.0e-320, 1]]}", ":25:73: .*slopes must be at most"),
-        ("formulation: ac", "regularisation: .inf", ":49:3: controller.regularisation: inf: input should be a finite number"),
-        ("formulation: ac", "end: {price: .inf}", ":49:9: controller.end.price: inf: input should be a finite number"),
+        ("formulation: ac", "regularisation: .inf", ":49:3: controller.regularisation: inf: must be a finite number"),
+        ("formulation: ac", "end: {price: .inf}", ":49:9: controller.end.price: inf: must be a finite number"),
         ("formulation: ac", "objective: [{economic: {}, weight: .inf}]", ":49:30: controller.objective.0.weight: weight = inf: must be a finite number"),
         ("time: {", "time: !!python/object:os.system {", ":36:7: the tag .* is not accepted"),
         ("  buses:", "  buses: [", "not YAML"),
@@ -250,7 +272,8 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
             r"controller.end: 'cyclic': must be a mapping; .* cyclic, minimum",
         ),
         (MINIMAL + "time: 3\n", "time: 3: must be a mapping; .* step, steps"),
-        (MINIMAL + "plant: redispatch\n", "plant: 'redispatch': must be a mapping; .* mode"),
+        (MINIMAL + "plant: 3\n", "plant: 3: must be a mapping; .* mode"),
+        (MINIMAL + "plant: redispach\n", ":4:1: plant.mode: .*'redispach'; did you mean 'redispatch'"),
         (MINIMAL + "name: ../x\n", r":4:1: name: '../x': .*contain / or"),
         (MINIMAL + "name: ..\n", ":4:1: name: '..': must not be empty"),
         (MINIMAL + "variants: {a/b: {}}\n", ":4:12: variants.a/b: 'a/b': .*contain / or"),
@@ -262,20 +285,53 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
         ("network: {}\n", "has no bus in service"),
         ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),
         ("network: {buses: {a: 3}}\n", "must be a mapping from fields to values"),
-        (MINIMAL + "cost: [1]\n", "cost"),
+        (MINIMAL + "cost: [1]\n", r":4:8: cost.0: 1: must be text or a mapping"),
+        (
+            MINIMAL + "controller: {solver: 1}\n",
+            "controller.solver: 1: must be text or a mapping; .* name, options",
+        ),
+        (MINIMAL + "forecast: {persistence: {fields: p}}\n", r":4:26: .*fields = 'p': must be a list"),
+        (
+            MINIMAL + "forecast: {noisy: {deviation: 0.1, seed: 1, fields: [pmax]}}\n",
+            ":4:12: .*'pmax'.*'p_max'",
+        ),
         (MINIMAL + "cost: []\n", "needs at least one objective"),
         (MINIMAL + "profiles: [{a: 1, b: 2}]\n", "one name with its options, not 2 keys"),
         (MINIMAL + "a: &a [1,1]\nb: &b [*a,*a]\n", "unknown key"),
         (MINIMAL + f"variants: {{x: {500 * '['}{500 * ']'}}}\n", "nested too deeply"),
         (
             MINIMAL + "plant: {mode: redispatch, shedding_price: .inf}\n",
-            ":.:27: plant.shedding_price: .* inf: Input should be a finite number",
+            ":.:27: plant.shedding_price: .* inf: must be a finite number",
         ),
     ],
 )
 def test_odd_documents(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=message):
         om.load_scenario(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("key", ["cost", "profiles", "controller.objective"])
+def test_of_many_invalid_entries_only_the_first_is_examined(key: str) -> None:
+    content: Any = {"network": {}, "controller": {}}
+    section, _, last = key.rpartition(".")
+    (content[section] if section else content)[last] = [200.5] * 1000
+    with pytest.raises(ValidationError) as caught:
+        ScenarioFile.model_validate(content)
+    assert caught.value.error_count() <= 4  # one per branch of the types
+
+
+def test_literal_names_are_updated_without_a_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+
+    def counted(name: str) -> Any:
+        searched.append(name)
+        return name_pattern(name)
+
+    monkeypatch.setattr(declarations, "name_pattern", counted)
+    text = MINIMAL + "  update: {a: {vm: [0.8, 1]}, 'g*': {ramp: 4}}\n"
+    network = om.load_scenario(write(tmp_path, text)).network
+    assert (network.a.vm, network.g.ramp) == ((0.8, 1), 4)
+    assert searched == ["g*"]
 
 
 def test_an_unreadable_file_is_an_error(tmp_path: Path) -> None:

@@ -16,20 +16,23 @@ __all__ = ["list_plugins", "validate"]
 def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
     """Check a scenario, study or network file without solving it.
 
-    A scenario is checked with each of its variants unless one is given.
+    A scenario is checked with each of its variants unless one is given: one stage of its problem is
+    compiled, and the first and the last forecast are made.
     """
     from opfmodel.network.arrays import per_unit
     from opfmodel.scenario.document import read_document
+    from opfmodel.scenario.rehearsal import rehearse
 
     if is_scenario(file):
         document = read_document(file)
         if document.is_study:
             return _validate_study(file, json_)
         loaded = read_scenario(document, variant, set_)
+        rehearse(loaded)
         network = loaded.network
         for name in loaded.settings.variants if variant is None else ():
             try:
-                read_scenario(document, name, set_)
+                rehearse(read_scenario(document, name, set_))
             except OpfmodelError as error:
                 raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:

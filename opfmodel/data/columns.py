@@ -17,7 +17,7 @@ import numpy.typing as npt
 from opfmodel.data.files import open_text
 from opfmodel.errors import ProfileError
 
-__all__ = ["Columns", "read_columns"]
+__all__ = ["Columns", "read_columns", "separator_hint"]
 
 Array = npt.NDArray[np.float64]
 Row = tuple[int, list[str]]
@@ -83,13 +83,14 @@ def read_columns(
         positions = [found[heading] for heading in wanted]
         values, lines = [array("d") for _ in wanted], array("q")
         for number, row in table if rows is None else islice(table, rows):
-            _check_width(path, number, row, width)
+            _check_width(path, number, row, width, found)
             lines.append(number)
             for heading, position, series in zip(wanted, positions, values, strict=True):
                 value = _number(row[position]) if position < len(row) else math.nan
                 if not math.isfinite(value) and (math.isnan(value) or not unlimited):
                     raise ProfileError(
                         f"{path}: line {number}, column {heading!r}: {_fault(row, position, value)}"
+                        f"{separator_hint(found)}"
                     )
                 series.append(value)
     if rows is not None and len(lines) < rows:
@@ -152,22 +153,36 @@ def _wanted(path: Path, found: Collection[str], headings: Sequence[str] | None) 
     if not wanted:
         raise ProfileError(
             f"{path}: no column is named 'component.field', for example 'town.p'; {_listing(found)}"
+            f"{separator_hint(found)}"
         )
     for heading in wanted:
         if heading not in found:
-            raise ProfileError(f"{path}: no column {heading!r}; {_listing(found)}")
+            raise ProfileError(f"{path}: no column {heading!r}; {_listing(found)}{separator_hint(found)}")
     return wanted
+
+
+def separator_hint(found: Collection[str]) -> str:
+    r"""Return the end of a message about headings that suspects another separator than commas.
+
+    Examples
+    --------
+    >>> separator_hint(["hour;town.p"]), separator_hint(["hour", "town.p"])
+    ("; columns are separated by ';', but must be by ','", '')
+    """
+    (only,) = found if len(found) == 1 else ("",)
+    used = next((separator for separator in ";\t" if separator in only), "")
+    return f"; columns are separated by {used!r}, but must be by ','" if used else ""
 
 
 def _listing(found: Collection[str]) -> str:
     return f"columns are: {', '.join(islice(found, 20))}" + (" ..." if len(found) > 20 else "")
 
 
-def _check_width(path: Path, number: int, row: Sequence[str], width: int) -> None:
+def _check_width(path: Path, number: int, row: Sequence[str], width: int, found: Collection[str]) -> None:
     if len(row) > width and any(cell.strip() for cell in row[width:]):
         raise ProfileError(
             f"{path}: line {number}: {len(row)} cells for {width} headings; use a decimal point and "
-            "one number per column"
+            f"one number per column{separator_hint(found)}"
         )
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel import plugins
 from opfmodel.data.series import Profiles, SeriesKey
+from opfmodel.errors import PluginError, ProfileError, nearest, shown
+from opfmodel.network.components import BUILT_IN
 
 Array = npt.NDArray[np.float64]
 
-__all__ = ["FORECAST_FIELDS", "Array", "Forecast", "part"]
+__all__ = ["FORECAST_FIELDS", "Array", "Forecast", "forecast_fields", "part"]
 
 # Fields that are uncertain ahead of time; others, such as prices and ratings, are known.
 FORECAST_FIELDS = ("p", "q", "p_max")
@@ -42,6 +46,43 @@ class Forecast:
             The actual series, from step 0.
         """
         raise NotImplementedError
+
+
+def forecast_fields(forecast: str, fields: Sequence[str]) -> tuple[str, ...]:
+    """Check and return the fields that a forecast is to forecast.
+
+    Parameters
+    ----------
+    forecast
+        Name of the forecast, for messages.
+
+    Raises
+    ------
+    ProfileError
+        No kind of component has a time series of such a field.
+    """
+    known = {name for kind in BUILT_IN for name, field in kind.table_fields().items() if field.series}
+    if not known.issuperset(fields):  # then it may be a field of a device of another package
+        known |= _fields_of_plugins()
+    for field in fields:
+        if field not in known:
+            raise ProfileError(
+                f"{forecast}: fields: {shown(field)}: no component has a time series of this name; "
+                f"{nearest(field, known)}"
+            )
+    return tuple(fields)
+
+
+def _fields_of_plugins() -> set[str]:
+    """Return the fields of the components of installed devices that can have a time series."""
+    known: set[str] = set()
+    for plugin in plugins.plugins("device").values():
+        try:
+            component = plugin.load().component
+        except PluginError:
+            continue  # "opfmodel list" reports it
+        known |= {name for name, field in component.table_fields().items() if field.series}
+    return known
 
 
 def part(actual: Profiles, time: int, stages: int) -> dict[SeriesKey, Array]:

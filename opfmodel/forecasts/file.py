@@ -8,7 +8,7 @@ import numpy as np
 
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles, SeriesKey
-from opfmodel.errors import ProfileError
+from opfmodel.errors import ProfileError, nearest
 from opfmodel.forecasts.base import Array, Forecast, part
 
 __all__ = ["File"]
@@ -62,7 +62,8 @@ class File(Forecast):
         known = part(actual, time, stages)
         for key in series:
             if key not in known:
-                raise ProfileError(f"{self.file}: column '{key}': there is no such series among the profiles")
+                near = nearest(str(key), map(str, known))
+                raise ProfileError(f"{self.file}: column '{key}': the profiles have no such series; {near}")
         return Profiles(
             {**known, **{key: values[time - issued :][:stages] for key, values in series.items()}}
         )

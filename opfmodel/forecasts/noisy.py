@@ -8,7 +8,7 @@ import numpy as np
 
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
-from opfmodel.forecasts.base import FORECAST_FIELDS, Array, Forecast, part
+from opfmodel.forecasts.base import FORECAST_FIELDS, Array, Forecast, forecast_fields, part
 from opfmodel.network.bounds import integer, number_within
 
 __all__ = ["Noisy"]
@@ -50,7 +50,7 @@ class Noisy(Forecast):
             "noisy: correlation", correlation, at_least=0, below=1, error=ProfileError
         )
         self.seed = integer("noisy: seed", seed, at_least=0, error=ProfileError)
-        self.fields = fields
+        self.fields = forecast_fields("noisy", fields)
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Return the actual series with errors."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ProfileError
-from opfmodel.forecasts.base import FORECAST_FIELDS, Forecast, part
+from opfmodel.forecasts.base import FORECAST_FIELDS, Forecast, forecast_fields, part
 
 __all__ = ["Persistence"]
 
@@ -32,7 +32,7 @@ class Persistence(Forecast):
         if period < 1:
             raise ProfileError(f"persistence: period = {period}: must be a number of steps, at least 1")
         self.period = period
-        self.fields = fields
+        self.fields = forecast_fields("persistence", fields)
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Return the values of the previous period."""

@@ -180,8 +180,8 @@ class Component:
             if hasattr(cost, field):
                 return float(getattr(cost, field))
         span = field in known and known[field].metadata["form"] == "span"
-        ends = f"; it has {field}_min and {field}_max" if span else ""
-        raise ProfileError(f"a {self.kind} has no number {field!r}{ends}")
+        known_numbers = f"it has {field}_min and {field}_max" if span else nearest(field, self.table_fields())
+        raise ProfileError(f"a {self.kind} has no number {field!r}; {known_numbers}")
 
     @classmethod
     @cache

@@ -131,7 +131,7 @@ def is_flag(value: object) -> TypeGuard[bool]:
 def type_of_number(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
     """Raise :class:`ComponentError` unless a value is a number."""
     if not (is_number(value) or (value is None and rules["optional"])):
-        raise ComponentError(name, key, value, f"must be a number in {_unit(rules)}")
+        raise ComponentError(name, key, value, f"must be a number{_unit(rules)}")
 
 
 def rules_of_number(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
@@ -153,9 +153,9 @@ def type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -
     if rules["symmetric"] and is_number(value):
         return
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
-        raise ComponentError(name, key, value, f"must be a pair (min, max) in {_unit(rules)}")
+        raise ComponentError(name, key, value, f"must be a pair (min, max){_unit(rules)}")
     if not all(is_number(end) for end in value):
-        raise ComponentError(name, key, value, f"both ends must be numbers in {_unit(rules)}")
+        raise ComponentError(name, key, value, f"both ends must be numbers{_unit(rules)}")
 
 
 def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
@@ -170,7 +170,7 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
         return
     low, high = value
     if not all(bounded(end) or abs(end) == INF for end in (low, high)):
-        rule = f"both ends must be numbers in {_unit(rules)} of at most {LARGEST:g}, or infinite"
+        rule = f"both ends must be numbers{_unit(rules)} of at most {LARGEST:g}, or infinite"
         raise ComponentError(name, key, value, rule)
     if low > high:
         raise ComponentError(name, key, value, f"the minimum {low:g} is above the maximum {high:g}")
@@ -195,4 +195,4 @@ def type_of_bus(name: str, key: str, value: object, _: Mapping[str, Any]) -> Non
 
 
 def _unit(rules: Mapping[str, Any]) -> str:
-    return str(rules["unit"]) or "plain numbers"
+    return f" in {rules['unit']}" if rules["unit"] else ""

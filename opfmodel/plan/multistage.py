@@ -244,7 +244,12 @@ class MultiStage:
         return self.variant(elastic=Elastic() if prices is None else prices)
 
     def variant(
-        self, *, elastic: Elastic | None, objective: Objective | None = None, rationed: bool = False
+        self,
+        *,
+        elastic: Elastic | None,
+        objective: Objective | None = None,
+        rationed: bool = False,
+        horizon: int | None = None,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
 
@@ -252,12 +257,15 @@ class MultiStage:
         ----------
         rationed
             Whether every solve limits the penalty.
+        horizon
+            Number of stages, if it differs.
         """
         twin = copy(self)
         for name in ("_compiled", "_objective_series", "shortage_problems"):
             vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
         twin.elastic, twin._rationed = elastic, rationed
+        twin.horizon = self.horizon if horizon is None else horizon
         twin.objective = self.objective if objective is None else objective
         return twin
 

@@ -10,6 +10,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_type_hints
 
+from opfmodel.data.faults import fault_message
 from opfmodel.errors import PluginError, nearest, shown
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
@@ -36,6 +37,9 @@ _BASES = {
 # Attribute with the name of a class. Results and networks use it, so it must match the entry point.
 _NAMES = {"formulation": "name", "device": "component.kind"}
 
+# Sorts whose name alone would not say what they are, in messages.
+_CALLED = {"profile": "profile rule"}
+
 
 @dataclass(frozen=True)
 class Plugin:
@@ -60,7 +64,7 @@ class Plugin:
         PluginError
             The module cannot be imported, or the entry point is not a class of this sort and name.
         """
-        where = f"{self.sort} {self.name!r} from {self.origin} cannot be loaded ({self.point.value})"
+        where = f"{_called(self.sort)} {self.name!r} from {self.origin} cannot be loaded ({self.point.value})"
         try:
             loaded = self.point.load()
         except (Exception, SystemExit) as error:  # a third-party module may raise anything
@@ -118,7 +122,7 @@ def load(sort: str, name: str) -> Any:
     """
     known = plugins(sort)
     if name not in known:
-        raise PluginError(f"there is no {sort} {name!r}; {nearest(name, known)}")
+        raise PluginError(f"there is no {_called(sort)} {name!r}; {nearest(name, known)}")
     return known[name].load()
 
 
@@ -148,7 +152,7 @@ def make(
     """
     from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-    cls = load(sort, name)
+    cls, called = load(sort, name), f"{_called(sort)} {name!r}"
     accepted = {
         p.name: p
         for p in inspect.signature(cls).parameters.values()
@@ -159,7 +163,7 @@ def make(
     for key, value in options.items():
         if key not in accepted:
             known = nearest(key, (*accepted, *beside))
-            raise PluginError(f"{sort} {name!r} has no option {key!r}; {known}", key)
+            raise PluginError(f"{called} has no option {key!r}; {known}", key)
         hint = hints.get(key, Any)
         converter = (convert or {}).get(hint)
         try:
@@ -168,13 +172,18 @@ def make(
         except ValidationError as error:
             fault = error.errors()[0]
             path, at = _path(value, fault["loc"])
-            reason = fault["msg"].removeprefix("Value error, ")
             named = ".".join(str(part) for part in (key, *path))
-            raise PluginError(f"{sort} {name!r}: {named} = {shown(at)}: {reason}", key, *path) from None
+            raise PluginError(
+                f"{called}: {named} = {shown(at)}: {fault_message(fault)}", key, *path
+            ) from None
     missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
     if missing:
-        raise PluginError(f"{sort} {name!r} requires the option {missing[0]!r}")
+        raise PluginError(f"{called} requires the option {missing[0]!r}")
     return cls(**checked)
+
+
+def _called(sort: str) -> str:
+    return _CALLED.get(sort, sort)
 
 
 def _path(value: Any, location: tuple[str | int, ...]) -> tuple[list[str | int], Any]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from opfmodel.data.columns import read_columns
+from opfmodel.data.columns import read_columns, separator_hint
 from opfmodel.data.series import SeriesKey
-from opfmodel.errors import ProfileError
+from opfmodel.errors import ProfileError, nearest
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Table"]
@@ -33,9 +33,14 @@ class Table(ProfileRule):
         for heading, values in columns.values.items():
             key = SeriesKey.of(heading)
             if key.component not in book.network:
+                near = nearest(key.component, book.network)
                 raise ProfileError(
-                    f"{path}: column {heading!r}: the network has no component {key.component!r}"
+                    f"{path}: column {heading!r}: the network has no component {key.component!r}; {near}"
+                    f"{separator_hint(columns.values)}"
                 )
-            book.network[key.component].constant(key.field)
+            try:
+                book.network[key.component].constant(key.field)
+            except ProfileError as error:
+                raise ProfileError(f"{path}: column {heading!r}: {error}") from error
             book.set(key.component, key.field, values)
             book.sources[key] = columns

@@ -19,7 +19,7 @@ from opfmodel.errors import (
     shown,
 )
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.bounds import is_number
+from opfmodel.network.bounds import LARGEST, bounded, is_number
 from opfmodel.network.cases import read_network
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
@@ -57,8 +57,9 @@ class Declarations:
         removed = self.section.get("remove") or []
         if not isinstance(removed, list):
             raise self.document.error(("network", "remove"), "must be a list of component names")
-        for component in removed:
-            network.remove(str(component))
+        for number, component in enumerate(removed):
+            with self.document.located("network", "remove", number):
+                network.remove(str(component))
         return network
 
     def check(self, network: Network) -> None:
@@ -125,11 +126,10 @@ class Declarations:
 
     def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
         """Change fields of every component whose name matches a pattern."""
-        matching = [n for n in network if name_pattern(name).fullmatch(n)]
+        matching = _matching(network, name)
         if not matching:
-            raise self.document.error(
-                ("network", "update", name), f"no such component; {nearest(name, network)}"
-            )
+            fault = "no component matches" if "*" in name else "no such component"
+            raise self.document.error(("network", "update", name), f"{fault}; {nearest(name, network)}")
         for member in matching:
             old = network[member]
             plain = {k: getattr(old, k) for k in old.fields()}
@@ -157,15 +157,32 @@ class Declarations:
         for key, value in fields.items():
             match = _SHARE.fullmatch(value) if isinstance(value, str) else None
             if match:
-                whole = kind.from_mapping(name, known)
-                try:
-                    resolved[key] = float(match[1]) / 100.0 * whole.constant(match[2])
-                except ProfileError as error:
-                    raise ComponentError(name, key, value, str(error)) from error
+                resolved[key] = _share(kind.from_mapping(name, known), name, key, match)
         return resolved
 
 
 _SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
+
+
+def _share(component: Component, name: str, key: str, match: re.Match[str]) -> float:
+    """Return the number for which a share of another field stands."""
+    if match[2] == key:
+        raise ComponentError(name, key, match[0], "is a share of itself; name another field")
+    try:
+        number = float(match[1]) / 100.0 * component.constant(match[2])
+    except ProfileError as error:
+        raise ComponentError(name, key, match[0], str(error)) from error
+    if not bounded(number):
+        rule = f"is {number:g}; must be a finite number of at most {LARGEST:g}"
+        raise ComponentError(name, key, match[0], rule)
+    return number
+
+
+def _matching(network: Network, name: str) -> list[str]:
+    """Return the components of a name, which may be a pattern with stars."""
+    if "*" not in name:
+        return [name] if name in network else []
+    return list(filter(name_pattern(name).fullmatch, network))
 
 
 def component_kinds() -> tuple[list[type[Component]], list[str]]:

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from opfmodel.data.faults import fault_message
 from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
@@ -21,6 +22,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
 __all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
@@ -135,8 +137,9 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
         faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]
         # each branch of a union reports an error; the deepest is the most specific
-        key, fault = max((f for f in faults if f[0][: len(outer)] == outer), key=lambda f: len(f[0]))
-        raise document.error(key, _explained(fault, key, model)) from None
+        key = max((path for path, _ in faults if path[: len(outer)] == outer), key=len)
+        explained = _explained([fault for path, fault in faults if path == key], key, model)
+        raise document.error(key, explained) from None
 
 
 def _path(content: Any, fault: Mapping[str, Any]) -> Key:
@@ -150,32 +153,27 @@ def _path(content: Any, fault: Mapping[str, Any]) -> Key:
     return (*key, fault["loc"][-1]) if fault["type"] == "missing" else tuple(key)
 
 
-def _explained(fault: Mapping[str, Any], key: Key, model: type[BaseModel]) -> str:
+def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseModel]) -> str:
+    """Return what is wrong with the value of a key, and what the branches of its type accept."""
+    fault = faults[0]
     if fault["type"] == "extra_forbidden":
-        return f"unknown key; {nearest(str(key[-1]), _model_at(model, key[:-1]).model_fields)}"
-    if fault["type"] == "missing":
-        return "this key is missing"
+        known = _model_at(model, key[:-1]).model_fields
+        parts = str(key[-1]).split(".")
+        if len(parts) > 1 and parts[0] in known:
+            return f"unknown key; nest it: {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
+        return f"unknown key; {nearest(str(key[-1]), known)}"
     value = fault.get("input")
-    given = f"{shown(value)}: " if isinstance(value, str | int | float | bool | None) else ""
-    if fault["type"] in ("model_type", "dict_type"):
-        keys = list(_model_at(model, key).model_fields) if fault["type"] == "model_type" else []
-        return f"{given}must be a mapping" + (f"; accepted keys are {', '.join(keys)}" if keys else "")
-    if fault["type"] == "value_error":
-        return f"{given}{fault['ctx']['error']}"
-    return f"{given}{fault['msg'][0].lower()}{fault['msg'][1:]}"
+    scalar = isinstance(value, str | int | float | bool | None) and fault["type"] != "missing"
+    of_model = any(fault["type"] == "model_type" for fault in faults)
+    keys = ", ".join(_model_at(model, key).model_fields) if of_model else ""
+    first, *others = dict.fromkeys(map(fault_message, faults))
+    message = " or ".join([first, *(other.removeprefix("must be ") for other in others)])
+    return (f"{shown(value)}: " if scalar else "") + message + (f"; accepted keys are {keys}" if keys else "")
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
     """Return the schema of the mapping at a path of keys."""
     for part in key:
         if str(part) in model.model_fields:
-            model = next(_models(model.model_fields[str(part)].annotation), model)
+            model = next(schemas(model.model_fields[str(part)].annotation), model)
     return model
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the schemas among the alternatives of an annotation."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _models(part)

@@ -21,7 +21,14 @@ from opfmodel.plan import End, MultiStage
 from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
-from opfmodel.scenario.parts import make_forecast, make_objective, make_plant, make_profiles, make_setpoints
+from opfmodel.scenario.overlay import laid
+from opfmodel.scenario.parts import (
+    make_forecast,
+    make_objective,
+    make_plant,
+    make_profiles,
+    planned_objective,
+)
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
 from opfmodel.simulation import check_response
@@ -68,20 +75,15 @@ def load_scenario(
     profiles = make_profiles(document, settings, network)
     forecast = make_forecast(document, settings)
     constraints = read_constraints(document, settings)
-    objective = cost
-    if settings.controller.objective is not None:
 
-        def single_stages() -> Setpoints:
-            return scenario.single_stages(settings.length).setpoints()
+    def single_stages() -> Setpoints:
+        return scenario.single_stages(settings.length).setpoints()
 
-        def setpoints(value: Any) -> Setpoints:
-            return make_setpoints(value, document, settings.time.steps, network, single_stages)
-
-        key = ("controller", "objective")
-        objective = make_objective(document, key, settings.controller.objective, {Setpoints: setpoints})
+    objective = planned_objective(document, settings, network, cost, single_stages)
     problem = _problem(document, settings, network, profiles, objective)
     for own in constraints.values():
-        problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
+        with document.located("constraints", own.name):
+            problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
     with document.located("plant", "mode"):
         plugins.load("plant", settings.plant.mode)
     with document.located("plant"):
@@ -92,7 +94,7 @@ def load_scenario(
     with document.located("forecast"):
         check_response(forecast, plant)
     title = name if variant is None else f"{name}:{variant}"
-    scenario = Scenario(title, document.path, problem, cost, forecast, settings)
+    scenario = Scenario(title, document, problem, cost, forecast, settings)
     return scenario
 
 
@@ -136,25 +138,32 @@ def laid_over(
     Raises
     ------
     ScenarioError
-        The document is not a mapping, or has no such variant.
+        The document or the variant is not a mapping, or there is no such variant.
     """
     if not isinstance(document.content, dict):
         raise document.error((), "a scenario is a mapping with at least the key 'network'")
     if document.is_study:
         key = "vary" if "vary" in document.content else "scenario"
         raise document.error((key,), "this file is a study; run it with 'opfmodel study run'")
-    content = deepcopy(document.content)
+    content: Any = deepcopy(document.content)
     if variant is not None:
         variants = content.get("variants") or {}
         if not isinstance(variants, dict) or variant not in variants:
             raise document.error(("variants",), f"no variant {variant!r}; {nearest(variant, variants)}")
-        content = _overlay(content, variants[variant])
+        over = variants[variant]
+        if not isinstance(over, dict):
+            raise document.error(
+                ("variants", variant), f"{shown(over)}: must be a mapping of keys to override"
+            )
+        content = laid(content, [over], ScenarioFile)
+    nested = []
     for key, value in (overrides or {}).items():
         parts = key.split(".")
         if len(parts) > MOST_LEVELS:
             raise document.error((), f"{shown(key)}: has {len(parts)} parts; a key has at most {MOST_LEVELS}")
-        content = _overlay(content, _nested(parts, value))
-    return content
+        nested.append(_nested(parts, value))
+    laid_out: dict[str, Any] = laid(content, nested, ScenarioFile)
+    return laid_out
 
 
 def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] = ()) -> None:
@@ -170,13 +179,6 @@ def _check_numbers(document: Document, content: Any, key: tuple[str | int, ...] 
             raise document.error(
                 (*key, part), f"{shown(value)}: must be a finite number of at most {LARGEST:g}"
             )
-
-
-def _overlay(base: Any, over: Any) -> Any:
-    """Merge ``over`` into ``base``: mappings key by key, anything else replaced."""
-    if isinstance(base, dict) and isinstance(over, dict):
-        return {**base, **{key: _overlay(base.get(key), value) for key, value in over.items()}}
-    return over
 
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from opfmodel.scenario.document import Document
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
-__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "make_setpoints"]
+__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "planned_objective"]
 
 
 def make_profiles(document: Document, settings: ScenarioFile, network: Network) -> Profiles:
@@ -118,7 +118,31 @@ def make_plant(settings: ScenarioFile) -> Plant:
     return made
 
 
-def make_setpoints(
+def planned_objective(
+    document: Document,
+    settings: ScenarioFile,
+    network: Network,
+    cost: Objective,
+    single_stages: Callable[[], Setpoints],
+) -> Objective:
+    """Return the objective that plans minimise: that of the controller, or the cost.
+
+    Parameters
+    ----------
+    single_stages
+        Returns the single-stage optima; called only when they are used.
+    """
+    stated = settings.controller.objective
+    if stated is None:
+        return cost
+
+    def setpoints(value: Any) -> Setpoints:
+        return _setpoints(value, document, settings.length, network, single_stages)
+
+    return make_objective(document, ("controller", "objective"), stated, {Setpoints: setpoints})
+
+
+def _setpoints(
     value: Any, document: Document, steps: int, network: Network, single_stages: Callable[[], Setpoints]
 ) -> Setpoints:
     """Convert set-points from a scenario file.

@@ -15,6 +15,7 @@ from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import MultiStage
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
+from opfmodel.scenario.document import Document
 from opfmodel.scenario.parts import make_plant
 from opfmodel.scenario.schema import ScenarioFile
 from opfmodel.simulation import Controller, Plant, Run, simulate
@@ -30,6 +31,8 @@ class Scenario:
     ----------
     name
         Name of the scenario, followed by that of the variant, if any.
+    document
+        The file, with the positions of its keys and of those of the variant.
     problem
         The multi-stage problem of the controller; compiled when first solved.
     cost
@@ -41,12 +44,17 @@ class Scenario:
     """
 
     name: str
-    path: Path
+    document: Document
     problem: MultiStage
     cost: Objective
     forecast: Forecast
     settings: ScenarioFile
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Path:
+        """The scenario file."""
+        return self.document.path
 
     @property
     def network(self) -> Network:
@@ -74,6 +82,13 @@ class Scenario:
         """Violation prices for infeasible problems."""
         return Elastic(**self.settings.controller.elastic.model_dump())
 
+    @property
+    def starts_from_single_stage(self) -> bool:
+        """Whether the first problem starts from the single-stage AC optimum; otherwise it is free."""
+        controller = self.settings.controller
+        default = "single-stage" if controller.generator_delay == 1 else "free"
+        return (controller.initial_dispatch or default) == "single-stage"
+
     def initial(self) -> dict[str, npt.NDArray[np.float64]] | None:
         """Return the dispatch from which the first problem starts, in physical units; None if free.
 
@@ -85,11 +100,7 @@ class Scenario:
         OpfmodelError
             The single-stage problem of the first step has no solution.
         """
-        controller = self.settings.controller
-        wanted = controller.initial_dispatch
-        if wanted is None:
-            wanted = "single-stage" if controller.generator_delay == 1 else "free"
-        if wanted == "free":
+        if not self.starts_from_single_stage:
             return None
         data = self.single_stages(1).data
         names = ("pg", "qg") if self.problem.formulation.reactive else ("pg",)
@@ -104,18 +115,36 @@ class Scenario:
             A step has no solution.
         """
         if steps not in self._sequences:
-            problem = MultiStage(
-                self.network, step=self.settings.time.step, objective=self.cost, profiles=self.profiles
-            )
-            self._sequences[steps] = single_stage_sequence(problem, steps)
+            self._sequences[steps] = single_stage_sequence(self.single_stage(), steps)
         return self._sequences[steps]
+
+    def single_stage(self) -> MultiStage:
+        """Return the problem of a single stage with the AC equations and the objective ``cost``."""
+        return MultiStage(
+            self.network, step=self.settings.time.step, objective=self.cost, profiles=self.profiles
+        )
 
     def plant(self) -> Plant:
         """Return a new plant, without history."""
         return make_plant(self.settings)
 
+    def check_forecast(self) -> None:
+        """Raise :class:`ScenarioError` if the first or the last forecast of the loop cannot be made."""
+        controller = Controller(self.problem, self.forecast)
+        for time in sorted({0, self.steps - 1}):
+            with self.document.located("forecast"):
+                controller.expected(time)
+
     def simulate(self, progress: bool = False) -> Run:
-        """Run the closed loop of the scenario."""
+        """Run the closed loop of the scenario.
+
+        Raises
+        ------
+        ScenarioError
+            The first or the last forecast of the loop cannot be made; the message gives the position
+            of the key ``forecast``.
+        """
+        self.check_forecast()
         return simulate(
             Controller(self.problem, self.forecast, self.settings.controller.on_infeasible, self.elastic),
             self.plant(),

@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, model_validator
 
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
+from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
 __all__ = ["ScenarioFile", "Spec"]
 
-Spec = str | dict[str, Any] | list[str | dict[str, Any]]
+One = str | dict[str, Any]
+
+
+class _FirstError(FailFast):
+    """Stop at the first invalid entry of a list, which can have a million of them."""
+
+    __hash__ = object.__hash__  # so that a union can contain the list
+
+
+List = Annotated[list[One], _FirstError()]
+Spec = One | List
+
+# How mappings choose: ``{name: {option: value}}``, or a name beside its options.
+_BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {}})
+_BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
+_BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
+_BY_FORM = Choice(lambda values: "points" in values if values else None)
+# The costs, which are the only mappings in fields of components: <section>.<component>.<field>.
+_COSTS = Inside(3, _BY_FORM)
+
+_MOST_VARIANTS = 200
 
 
 class Section(BaseModel):
@@ -44,14 +65,14 @@ class SolverSection(Section):
 class ControllerSection(Section):
     horizon: int = Field(1, ge=1)
     formulation: str = "ac"
-    objective: Spec | None = None
+    objective: Annotated[Spec | None, _BY_KEY] = None
     generator_delay: Literal[0, 1] = 0
     initial_dispatch: Literal["free", "single-stage"] | None = None
     end: EndSection = Field(default_factory=EndSection)
     regularisation: float | None = Field(None, ge=0)
     on_infeasible: OnInfeasible = "stop"
     elastic: ElasticSection = Field(default_factory=ElasticSection)
-    solver: str | SolverSection = "auto"
+    solver: Annotated[str | SolverSection, _BY_NAME] = "auto"
 
     @property
     def back_end(self) -> SolverSection:
@@ -63,6 +84,12 @@ class PlantSection(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)  # the options of the plant
 
     mode: str = "nominal"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, value: Any) -> Any:
+        """Accept the name of a plant without options."""
+        return _BY_MODE.spelt_out(value)
 
 
 class PublishedSection(Section):
@@ -78,16 +105,26 @@ class ScenarioFile(Section):
 
     name: str | None = None
     description: str = ""
-    network: dict[str, Any]
+    network: Annotated[dict[str, Any], _COSTS]
     time: TimeSection = Field(default_factory=TimeSection)
-    profiles: list[str | dict[str, Any]] = Field(default_factory=list)
-    cost: Spec = "economic"
+    profiles: List = Field(default_factory=list)
+    cost: Annotated[Spec, _BY_KEY] = "economic"
     controller: ControllerSection = Field(default_factory=ControllerSection)
-    forecast: str | dict[str, Any] = "perfect"
-    plant: PlantSection = Field(default_factory=PlantSection)
+    forecast: Annotated[One, _BY_KEY] = "perfect"
+    plant: Annotated[PlantSection, _BY_MODE] = Field(default_factory=PlantSection)
     constraints: dict[str, Any] = Field(default_factory=dict)
     published: PublishedSection | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @field_validator("variants", mode="before")
+    @classmethod
+    def _few(cls, variants: Any) -> Any:
+        if isinstance(variants, dict) and len(variants) > _MOST_VARIANTS:
+            raise ValueError(
+                f"there are {len(variants):,} variants; at most {_MOST_VARIANTS} are accepted; "
+                "a study has no such limit"
+            )
+        return variants
 
     @property
     def length(self) -> int:

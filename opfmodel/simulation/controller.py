@@ -89,7 +89,7 @@ class Controller:
 
     def plan(self, time: int, state: Initial | None) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status."""
-        expected, last = self._expected(time), self._last
+        expected, last = self.expected(time), self._last
         if last is not None and last.time > time:  # another run has begun
             last = None
         solve = partial(self.problem.solve, time, state, expected=expected)
@@ -122,13 +122,13 @@ class Controller:
     def _twin(self) -> MultiStage:
         return self.problem.elastic_twin(self.elastic)
 
-    def _expected(self, time: int) -> dict[tuple[str, str], Array] | None:
+    def expected(self, time: int) -> dict[tuple[str, str], Array] | None:
         """Return the forecast of the stages ahead, in per unit; None for the realised values.
 
         Raises
         ------
-        ModelError
-            The forecast is not finite.
+        ProfileError, ModelError
+            There is no forecast, it is not finite, or it does not cover the series.
         """
         if self.forecast is None:
             return None
