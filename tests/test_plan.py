@@ -375,3 +375,29 @@ def test_a_ramp_has_its_price_in_a_horizon_of_one_stage() -> None:
     price = float(plan.data["pg_ramp_price"].values[0, 0])
     assert price == pytest.approx(plan.objective - lower.objective, rel=1e-2)
     assert price > 15
+
+
+@pytest.mark.parametrize("formulation", ["ac", "soc", "dc", "copperplate"])
+def test_a_network_without_generators_is_diagnosed_and_costs_nothing(formulation: str) -> None:
+    grid = two_bus()
+    grid.remove("coal")
+    grid.update("cell", initial=200.0, power=100, q=100)
+    objective = om.Economic(reactive_weight=1.0, energy_weight=0.0)
+    served = om.MultiStage(grid, 2, formulation=formulation, objective=objective).solve()
+    assert served.optimal
+    assert served.objective == pytest.approx(0.0)
+    assert served.data.sizes["generator"] == 0
+    grid.update("cell", in_service=False)
+    problem = om.MultiStage(grid, 2, formulation=formulation, objective=objective)
+    assert problem.solve().infeasible
+    assert problem.elastic_twin().solve().shortages[0].worst == pytest.approx(90.0, rel=1e-4)
+    run = om.simulate(problem, om.Redispatch(), 2, on_infeasible="elastic")
+    assert run.summary()["shed_mwh"] == pytest.approx(180.0, rel=1e-4)
+
+
+def test_an_objective_of_absent_storage_costs_nothing() -> None:
+    grid = two_bus()
+    grid.remove("cell")
+    objective = om.Economic() + om.StateOfChargeTracking()
+    plan = om.MultiStage(grid, objective=objective).solve()
+    assert plan.objective == pytest.approx(om.MultiStage(grid).solve().objective)

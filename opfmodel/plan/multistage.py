@@ -33,7 +33,7 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
-from opfmodel.plan.parts import make_devices, make_formulation, publishing
+from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
@@ -353,6 +353,8 @@ class MultiStage:
     def declare(self, stages: int | None = None) -> Model:
         """Return the declarations of formulation and devices, without objective and constraints; uncached.
 
+        A kind without components in service publishes its quantities, all empty, if the objective needs one.
+
         Parameters
         ----------
         stages
@@ -372,7 +374,14 @@ class MultiStage:
         self.formulation.declare(model)
         for device in self.devices:
             model.connect(device)
+        if not self._published_by(model):
+            for device in absent_devices(self.arrays):
+                model.connect(device)
         return model
+
+    def _published_by(self, model: Model) -> bool:
+        """Whether a model publishes all quantities that the objective needs."""
+        return all(map(model.has, self.objective.needs))
 
     def compile(self) -> Program:
         """Return the program, compiled at the first call or solve."""

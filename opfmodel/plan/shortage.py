@@ -34,11 +34,12 @@ class Nothing(Objective):
     Parameters
     ----------
     objective
-        The objective that it replaces; the network keeps its series.
+        The objective that it replaces; the problem keeps its series and quantities.
     """
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
+        self.needs = objective.needs
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], npt.NDArray[np.float64]]:
         """Return the series of the objective."""
