@@ -221,6 +221,17 @@ def test_a_cost_above_the_price_of_shedding_sheds_no_more(formulation: str, pric
     assert plan.objective == pytest.approx(145 * price, rel=1e-4)
 
 
+@pytest.mark.parametrize("formulation", ["dc", "copperplate"])
+def test_a_cost_at_which_the_solver_fails_does_not_hide_the_shortage(formulation: str) -> None:
+    grid = one_bus(100)
+    grid.update("unit", cost=om.Polynomial(0, 1e8, 0))
+    problem = om.MultiStage(grid, 4, formulation=formulation, profiles={"town.p": [80, 120, 80, 80]})
+    plan = problem.elastic_twin().solve()
+    assert plan.optimal
+    (shortage,) = plan.shortages
+    np.testing.assert_allclose(shortage.amounts, [0, 20, 0, 0], atol=1e-3)
+
+
 def test_among_the_plans_with_the_least_shortage_the_cheapest_is_taken() -> None:
     grid = one_bus(40)
     grid.update("unit", cost=om.Polynomial(0, 30_000, 0))

@@ -490,7 +490,8 @@ class MultiStage:
         """
         request = Request(time, initial, self.end if end is None else end, expected)
         plan = self.solve_once(request, previous, multipliers)
-        return without_outbidding(self, plan, request) if plan.shortages else plan
+        certain = self.elastic is None or (plan.optimal and not plan.shortages)
+        return plan if certain else without_outbidding(self, plan, request)
 
     def solve_once(
         self,

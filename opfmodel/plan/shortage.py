@@ -64,7 +64,8 @@ def without_outbidding(problem: MultiStage, plan: Plan, request: Request) -> Pla
     ----------
     plan
         The plan with the minimum sum of cost and penalty. It is the result unless some cost exceeds the
-        price of a shortfall, which was then accepted to save that cost.
+        price of a shortfall, which was then accepted to save that cost, or the solver failed. Costs far
+        above the prices can make it fail, which says nothing of the problems solved here.
     """
     least_shortage, rationed = problem.shortage_problems
     least = least_shortage.solve_once(request)
@@ -72,7 +73,7 @@ def without_outbidding(problem: MultiStage, plan: Plan, request: Request) -> Pla
         note = f"the minimum shortfall is not known: {least.termination}"
         return _with_effort(problem, plan, [least], plan.solution, note)
     unit = _unit(plan.model)
-    if plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
+    if plan.optimal and plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
         return _with_effort(problem, plan, [least], least.solution)
     ceiling = (1.0 + _SLACK) * least.penalty / unit + _SLACK
     cheapest = rationed.solve_once(request, ceiling=ceiling)
