@@ -277,11 +277,47 @@ def test_a_lack_of_reactive_power_is_called_so(formulation: str) -> None:
     assert half.data["p_unserved"].values[0, 0] == pytest.approx(40, abs=1e-2)
 
 
-def test_a_lack_of_both_is_called_after_the_tighter() -> None:
+def test_a_lack_of_both_is_reported_as_such() -> None:
     grid = one_bus(20)
     grid.update("unit", q=(0, 50))
     grid.update("town", p=80, q=60)
-    assert sentences(om.MultiStage(grid)) == ["bus 4 lacks 60.0 MW at hour 0"]
+    active, reactive = om.MultiStage(grid).elastic_twin().solve().shortages
+    assert (active.unit, active.worst) == ("MW", pytest.approx(60, abs=1e-2))
+    assert (reactive.unit, reactive.worst) == ("MVAr", pytest.approx(10, abs=1e-2))
+
+
+def lacking(p: float, q: float) -> om.Network:
+    """A line with a generator of p MW and q MVAr, which may be too small for 50 MW and 20 MVAr."""
+    grid = om.Network("lacking")
+    grid.a = om.Bus(vm=(0.8, 1.2), reference=True)
+    grid.b = om.Bus(vm=(0.8, 1.2))
+    grid.line = om.Branch("a", "b", r=0.01, x=0.1)
+    grid.unit = om.Generator("a", p=(0, p), q=(-q, q), cost=om.Polynomial(0, 20, 0))
+    grid.town = om.Load("b", p=50, q=20)
+    return grid
+
+
+@pytest.mark.parametrize("formulation", ["ac", "soc"])
+@pytest.mark.parametrize(("p", "q", "units"), [(30, 5, 2), (45, 15, 2), (10, 5, 2), (10, 0, 2), (30, 25, 1)])
+def test_neither_shortage_hides_the_other(formulation: str, p: float, q: float, units: int) -> None:
+    plan = om.MultiStage(lacking(p, q), formulation=formulation).elastic_twin().solve()
+    worst = {shortage.unit: shortage.worst for shortage in plan.shortages if shortage.component == "b"}
+    assert len(worst) == units
+    assert worst["MW"] == pytest.approx(float(plan.data["p_unserved"].max()), rel=0.01)
+
+
+@settings(max_examples=25)
+@given(p=st.floats(0, 70), q=st.floats(0, 40), formulation=st.sampled_from(["ac", "soc"]))
+def test_with_what_is_reported_the_hard_problem_is_feasible(p: float, q: float, formulation: str) -> None:
+    grid = lacking(p, q)
+    dear_limits = om.Elastic(limit=1e6)  # what remains is a lack of power
+    plan = om.MultiStage(grid, formulation=formulation).elastic_twin(dear_limits).solve()
+    assert plan.optimal
+    for number, shortage in enumerate(plan.shortages):
+        field = {"MW": "p", "MVAr": "q"}[shortage.unit]
+        added = {"p": (0.0, 0.0), "q": (0.0, 0.0)} | {field: (0.0, shortage.worst + 1e-2)}
+        grid.add(f"added {number}", om.Generator(shortage.component, **added))
+    assert om.MultiStage(grid, formulation=formulation).solve().optimal
 
 
 @pytest.mark.parametrize("formulation", ["ac", "soc", "dc"])

@@ -66,6 +66,10 @@ class Model:
         Fields that have time series, by ``(kind, field)``.
     slacks
         Slack variables of soft limits, by name; empty unless elastic.
+    shares
+        Names of the variables of an elastic problem that are shares of demand; see :meth:`share`.
+    ties
+        Rows of an elastic problem that keep two shares equal; see :meth:`tie`.
     penalties
         Penalties of the slacks by item and stage, $.
     """
@@ -86,6 +90,8 @@ class Model:
         self.regularisation = regularisation
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
+        self.shares: list[str] = []
+        self.ties: list[str] = []
         self.penalties: list[Expression] = []
         self.stages = stages
         self.step = step
@@ -365,6 +371,17 @@ class Model:
         self.penalise(self.penalty(soft) * values)
         self.slacks[slack.block] = slack
         return values
+
+    def share(self, kind: str, name: str) -> Expression:
+        """Declare the unserved share of every component of a kind, from 0 to 1, without a penalty."""
+        self.shares.append(name)
+        return self.build.variable(name, len(self.network.tables[kind]), self.stages, 0.0, 1.0)
+
+    def tie(self, name: str, one: Expression, other: Expression) -> None:
+        """Keep two shares equal in every plan; the diagnosis unties them to find which is due."""
+        rows = self.build.rows(name, one.items, one.stages)
+        self.build.add(one - other, into=rows)
+        self.ties.append(name)
 
     def penalise(self, cost: Expression) -> None:
         """Add the penalty of a shortfall, in $; it is part of no objective."""

@@ -34,9 +34,9 @@ from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
-from opfmodel.plan.request import Initial, Request
+from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
-from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
 from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
 from solvers.interrupt import interruptible
 
@@ -490,22 +490,22 @@ class MultiStage:
         """
         request = Request(time, initial, self.end if end is None else end, expected)
         plan = self.solve_once(request, previous, multipliers)
-        certain = self.elastic is None or (plan.optimal and not plan.shortages)
-        return plan if certain else without_outbidding(self, plan, request)
+        certain = self.elastic is None or (plan.optimal and not plan.short)
+        return plan if certain else without_outbidding(self, plan)
 
     def solve_once(
         self,
         request: Request,
         previous: Plan | None = None,
         multipliers: bool = True,
-        ceiling: float | None = None,
+        limits: Limits | None = None,
     ) -> Plan:
         """Solve the compiled problem once; an elastic one for the sum of cost and penalty.
 
         Parameters
         ----------
-        ceiling
-            Limit on the penalty of a rationed problem, p.u. h of the cheapest kind.
+        limits
+            Bounds of rows and variables, by block, in place of those of the request.
         """
         time, initial, end = request.time, request.initial, request.end
         integer("time", time, at_least=0)
@@ -542,13 +542,14 @@ class MultiStage:
             numbers.end_with(state.name, end)
         for constraint in self.constraints.values():
             if constraint.limited:
-                numbers.limit(constraint.rows, *constraint.window(time, self.horizon))
-        if ceiling is not None:
-            numbers.limit(CEILING, np.array([-np.inf]), np.array([ceiling]))
+                low, high = constraint.window(time, self.horizon)
+                numbers.limit(constraint.rows, low[None, :], high[None, :])
+        for name, (lower, upper) in (limits or {}).items():
+            numbers.limit(name, lower, upper)
         instance = numbers.instance()
         start = _start(previous, program, time, multipliers)
         solution = session.solve(instance, start)
-        return Plan(self, model, solution, network, time)
+        return Plan(self, model, solution, network, request)
 
 
 def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:
