@@ -400,7 +400,7 @@ def test_solve_diagnoses_an_infeasible_problem(call: Call) -> None:
     assert result["status"] == "locally_infeasible"
     assert "--on-infeasible elastic" in call(*arguments[:-2])[1]
     (sentence,) = result["diagnosis"]
-    assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
+    assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (in 2 stages)")
     code, out, _ = call(*arguments)
     assert f"diagnosis: {sentence}" in out
     assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == []

@@ -45,7 +45,7 @@ def test_a_lack_of_capacity(formulation: str) -> None:
         one_bus(40), 4, formulation=formulation, profiles={"town.p": [35, 50, 72.1, 40]}, step=2
     )
     assert not problem.solve().optimal
-    assert sentences(problem) == ["bus 4 lacks 32.1 MW at hour 4 (2 stages short, 84.2 MWh in all)"]
+    assert sentences(problem) == ["bus 4 lacks 32.1 MW at hour 4 (in 2 stages, 84.2 MWh in all)"]
 
 
 @pytest.mark.parametrize("formulation", ["dc", "dc-matpower"])
@@ -83,7 +83,7 @@ def test_voltages(formulation: str) -> None:
     assert not problem.solve().optimal
     plan = problem.elastic_twin().solve()
     (shortage,) = plan.shortages
-    assert str(shortage).endswith("p.u. over its maximum voltage at hour 0")
+    assert str(shortage).endswith("p.u. above its maximum voltage at hour 0")
     assert shortage.worst == pytest.approx(check(grid, plan.data).violations["voltage"].value, rel=1e-4)
 
 
@@ -388,3 +388,8 @@ def test_only_stop_and_elastic_are_accepted() -> None:
         om.simulate(problem, on_infeasible="pray")  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=r"on_infeasible = 'elastic': .*controller"):
         om.simulate(om.Controller(problem), on_infeasible="elastic")
+
+
+def test_one_stage_is_a_stage() -> None:
+    assert om.MultiStage(one_bus(40)).compile().name == "one-bus, 1 stage of 1 h"
+    assert om.MultiStage(one_bus(40), 2, 0.5).compile().name == "one-bus, 2 stages of 0.5 h"

@@ -252,5 +252,12 @@ def test_series_keep_the_rules_of_their_fields(
         om.MultiStage(grid, profiles=series)
 
 
+def test_an_assignment_to_a_component_says_how_to_change_it(grid: om.Network) -> None:
+    with pytest.raises(ComponentError, match=r"Load: p = 60: .* network\.update\(name, p="):
+        grid.town.p = 60
+    grid.update("town", p=60)
+    assert grid.town.p == 60
+
+
 def test_bounds_may_move_together(grid: om.Network) -> None:
     om.MultiStage(grid, profiles={"coal.p_min": [250.0, 10], "coal.p_max": [300.0, 10]})

@@ -401,3 +401,8 @@ def test_an_objective_of_absent_storage_costs_nothing() -> None:
     objective = om.Economic() + om.StateOfChargeTracking()
     plan = om.MultiStage(grid, objective=objective).solve()
     assert plan.objective == pytest.approx(om.MultiStage(grid).solve().objective)
+
+
+def test_a_problem_is_shown_by_its_parts() -> None:
+    assert repr(problem(6)) == "MultiStage('two-bus': 6 stages of 1 h, ac, Economic)"
+    assert "1 stage of 0.5 h, dc" in repr(om.MultiStage(two_bus(), step=0.5, formulation="dc"))

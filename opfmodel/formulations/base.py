@@ -208,7 +208,7 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
 def soft_voltage(model: Model, squared: bool = False) -> Soft:
     """Return how the voltage limits of all buses are softened in an elastic problem."""
     buses = np.arange(len(model.network.bus))
-    below, above = "is {} below its minimum voltage", "is {} over its maximum voltage"
+    below, above = "is {} below its minimum voltage", "is {} above its maximum voltage"
     return Soft("voltage", buses, "p.u.", below, above, squared=squared)
 
 
@@ -219,7 +219,7 @@ def soft_rating(members: Index, squared: bool = False, ends: int = 2) -> Soft:
 
 
 def _soft_angle(members: Index) -> Soft:
-    return Soft("angle", members, "deg", "is {} below its minimum angle", "is {} over its maximum angle")
+    return Soft("angle", members, "deg", "is {} below its minimum angle", "is {} above its maximum angle")
 
 
 def _angle_limited(model: Model) -> Index:

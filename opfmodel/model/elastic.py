@@ -200,7 +200,7 @@ class Shortage:
             total = ""
             if self.unit in _TOTALS:
                 total = f", {_figure(float(self.amounts.sum()) * self.step)} {_TOTALS[self.unit]} in all"
-            text += f" ({short.size} stages short{total})"
+            text += f" (in {short.size} stages{total})"
         return text
 
 

@@ -97,7 +97,8 @@ class Model:
         self.step = step
         self.reactive = reactive
         self.zones = zones
-        self.build = ProgramBuilder(f"{network.name}, {stages} stages of {step:g} h")
+        noun = "stage" if stages == 1 else "stages"
+        self.build = ProgramBuilder(f"{network.name}, {stages} {noun} of {step:g} h")
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -262,7 +263,7 @@ class Model:
         """
         items = np.arange(len(self.network.tables[kind]))
         soft = Soft(
-            "stock", items, unit, "is {} below its minimum", "is {} over its capacity", "balance", first=-1
+            "stock", items, unit, "is {} below its minimum", "is {} above its capacity", "balance", first=-1
         )
         values = self.variable(
             kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False, soft=soft
@@ -277,7 +278,7 @@ class Model:
         self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
         end = Soft(
             "cyclic end", items, unit,
-            "ends {} short of where it began", "ends {} over where it began",
+            "ends {} short of where it began", "ends {} above where it began",
             "balance", first=self.stages - 1,
         )  # fmt: skip
         self.soften(kind, cyclic, end)
@@ -447,8 +448,12 @@ class Model:
 
     def _name(self, name: str) -> None:
         """Raise an error if a quantity or price of that name exists, for results are keyed by name."""
-        if name in (*self.published, *self.reported, *self.prices, *DEMAND):
+        if self.has_name(name):
             raise IncompatibleError(f"two quantities are named {name!r}")
+
+    def has_name(self, name: str) -> bool:
+        """Whether results have a quantity or price of that name."""
+        return name in (*self.published, *self.reported, *self.prices, *DEMAND)
 
     def field(self, kind: str, field: str) -> Any:
         """Return a field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""

@@ -18,7 +18,6 @@ from opfmodel.errors import (
     ModelError,
     QuantityError,
     listed,
-    name_fault,
     shown,
 )
 from opfmodel.formulations.base import Formulation
@@ -170,6 +169,13 @@ class MultiStage:
             raise ModelError(f"{name}: the problem is already compiled; create another one")
         super().__setattr__(name, value)
 
+    def __repr__(self) -> str:
+        noun = "stage" if self.horizon == 1 else "stages"
+        return (
+            f"MultiStage({self.network.name!r}: {self.horizon} {noun} of {self.step:g} h, "
+            f"{self.formulation.name}, {type(self.objective).__name__})"
+        )
+
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the network: components left out, and choices made for it."""
@@ -218,8 +224,6 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: the problem is already compiled; add constraints first")
         if name in self.constraints:
             raise ModelError(f"two constraints are named {name!r}")
-        if fault := name_fault(name):
-            raise ModelError(f"constraint {name!r}: the name {fault}")
         try:
             self.constraints[name] = CustomConstraint.of(name, constraint, at_least, at_most)
         except ConstraintError as error:
