@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.errors import ComponentError, ModelError, PluginError, ProfileError
+from opfmodel.errors import ComponentError, IncompatibleError, ModelError, PluginError, ProfileError
 
 WAVE = {"town.p": [60, 90, 110, 110, 70, 60, 80, 100], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
 
@@ -355,11 +355,15 @@ def test_a_store_cannot_lose_more_than_it_has() -> None:
         om.MultiStage(grid, 2, step=2.0).solve()
 
 
-def test_a_branch_without_reactance_is_named() -> None:
+@pytest.mark.parametrize("formulation", ["dc", "dc-losses", "dc-matpower"])
+def test_a_branch_without_reactance_is_named_with_formulations_that_accept_it(formulation: str) -> None:
     grid = two_bus()
     grid.update("tie", x=0.0)
-    with pytest.raises(ModelError, match="tie: x = 0: formulation 'dc-matpower' divides by it"):
-        om.MultiStage(grid, formulation="dc-matpower").solve()
+    with pytest.raises(IncompatibleError, match=f"tie: x = 0: formulation '{formulation}'") as caught:
+        om.MultiStage(grid, formulation=formulation).solve()
+    for other in ("ac", "ac-rectangular", "soc", "copperplate"):
+        assert repr(other) in str(caught.value)
+        assert om.MultiStage(grid, formulation=other).solve().optimal
 
 
 def test_a_dangling_component_is_found_when_the_problem_is_made() -> None:

@@ -21,6 +21,7 @@ __all__ = [
     "limit_products",
     "price_rating",
     "publish_flows",
+    "reactance",
     "shunts",
     "soft_rating",
     "soft_voltage",
@@ -66,6 +67,25 @@ def angles(model: Model) -> Expression:
     free = np.full(len(bus), np.inf)
     free[model.network.reference] = 0.0
     return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+
+
+def reactance(network: PerUnitNetwork, formulation: str) -> Array:
+    """Return the reactances of the branches, for formulations in which they alone carry the flow.
+
+    Raises
+    ------
+    IncompatibleError
+        A branch has none, and would be open in such a formulation.
+    """
+    branch = network.branch
+    without = np.flatnonzero(branch.x == 0.0)
+    if without.size:
+        raise IncompatibleError(
+            f"{branch.names[without[0]]}: x = 0: formulation {formulation!r} needs the reactance of every "
+            "branch; 'ac', 'ac-rectangular', 'soc' and 'copperplate' do not"
+        )
+    x: Array = branch.x
+    return x
 
 
 def shunts(model: Model, vm_squared: Expression | float) -> None:
