@@ -54,6 +54,15 @@ def test_solve_a_network_file(call: Call) -> None:
     assert "2,178.08" in out
 
 
+def test_solve_reports_how_far_a_relaxation_is_from_exact(call: Call) -> None:
+    _, out, _ = call("solve", CASE14, "--formulation", "soc", "--json")
+    relaxation = json.loads(out)["relaxation"]
+    assert set(relaxation) == {"largest_cone_slack", "largest_angle_mismatch"}
+    assert 0 <= relaxation["largest_cone_slack"] < 1e-3
+    assert "largest angle mismatch" in call("solve", CASE14, "--formulation", "soc")[1]
+    assert json.loads(call("solve", CASE14, "--json")[1])["relaxation"] == {}
+
+
 def test_solve_a_scenario(call: Call) -> None:
     code, out, _ = call("solve", CASE5, "--horizon", 4, "--json")
     assert code == 0

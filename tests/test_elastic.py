@@ -335,13 +335,32 @@ def test_demand_less_what_is_short_can_be_served(formulation: str) -> None:
         assert om.MultiStage(grid, 2, formulation=formulation, profiles=series).solve().optimal is served
 
 
-def test_the_check_counts_what_is_not_served_as_a_violation_but_balances_it() -> None:
+def test_the_check_shows_what_is_not_served_and_balances_it() -> None:
     grid = one_bus(40)
     plan = om.MultiStage(grid).elastic_twin().solve()
     report = check(grid, plan.data)
+    assert report.max_violation < 1e-6
+    assert "p unserved" in str(report)
     assert report.violations["active balance"].value < 1e-6
-    assert report.violations["p unserved"].value == pytest.approx(0.1, abs=1e-5)
-    assert report.worst.family == "p unserved"
+    assert report.unserved["p unserved"].value == pytest.approx(0.1, abs=1e-5)
+    assert report.unserved["p unserved"].component == "town"
+
+
+@pytest.mark.parametrize(("unserved", "excess"), [(60.0, 10.0), (-5.0, 5.0)])
+def test_no_more_than_the_demand_can_be_unserved(unserved: float, excess: float) -> None:
+    grid = one_bus(40)
+    data = om.MultiStage(grid).elastic_twin().solve().data
+    data["p_unserved"][:] = unserved
+    found = check(grid, data).violations["p unserved range"]
+    assert (found.physical, found.component) == (pytest.approx(excess), "town")
+
+
+def test_power_without_a_source_is_a_violation() -> None:
+    grid = one_bus(40)
+    prices = om.Elastic(shedding=10_000, balance=1_000)  # cheaper than shedding
+    report = check(grid, om.MultiStage(grid).elastic_twin(prices).solve().data)
+    assert report.worst.family == "active balance"
+    assert report.max_violation == pytest.approx(0.1, abs=1e-5)
 
 
 @pytest.mark.parametrize("price", [0.0, -1.0, float("inf"), "much"])
