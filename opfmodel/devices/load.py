@@ -16,7 +16,7 @@ class LoadDevice(Device):
     r"""Fixed demand ``p + jq``, a parameter of every solve.
 
     In an elastic problem a share of each load may be left unserved, active and reactive alike, at the
-    shedding price times its apparent power. The diagnosis unties the two shares, each of which bears half
+    shedding price times its apparent power. The diagnosis parts the two shares, each of which bears half
     the price, and so tells apart what a bus lacks of active and of reactive power.
     """
 
@@ -42,11 +42,11 @@ class LoadDevice(Device):
         if not model.reactive:
             model.penalise(price * np.sqrt(p**2) * share)
             return
-        share_q = model.share("load", "unserved_q")
-        model.tie("unserved_alike", share, share_q)
+        share_q = model.share("load", "unserved_q") if model.parted else share
         reactive = q * share_q
         model.inject(table.bus, q=reactive)
         soft_q = model.soft_balance(table.bus, "MVAr", "shedding")
         model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, Side.BELOW)
         model.report("load", "q_unserved", reactive, unit="MVAr", description="unserved reactive demand")
-        model.penalise(0.5 * price * np.sqrt(p**2 + q**2) * (share + share_q))
+        mean = 0.5 * (share + share_q) if model.parted else share
+        model.penalise(price * np.sqrt(p**2 + q**2) * mean)

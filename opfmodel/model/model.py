@@ -57,6 +57,8 @@ class Model:
         ``(kind, field)`` pairs that have time series.
     elastic
         Penalty prices of soft limits; None keeps every limit hard.
+    parted
+        Whether different shares of active and reactive demand may be unserved, to diagnose a shortage.
     regularisation
         Weight in $/(h p.u.²) of the squares of regularised quantities.
 
@@ -68,8 +70,6 @@ class Model:
         Slack variables of soft limits, by name; empty unless elastic.
     shares
         Names of the variables of an elastic problem that are shares of demand; see :meth:`share`.
-    ties
-        Rows of an elastic problem that keep two shares equal; see :meth:`tie`.
     penalties
         Penalties of the slacks by item and stage, $.
     """
@@ -84,6 +84,7 @@ class Model:
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
         elastic: Elastic | None = None,
+        parted: bool = False,
         regularisation: float = 0.0,
     ) -> None:
         self.network = network
@@ -91,7 +92,7 @@ class Model:
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
         self.shares: list[str] = []
-        self.ties: list[str] = []
+        self.parted = parted
         self.penalties: list[Expression] = []
         self.stages = stages
         self.step = step
@@ -377,12 +378,6 @@ class Model:
         """Declare the unserved share of every component of a kind, from 0 to 1, without a penalty."""
         self.shares.append(name)
         return self.build.variable(name, len(self.network.tables[kind]), self.stages, 0.0, 1.0)
-
-    def tie(self, name: str, one: Expression, other: Expression) -> None:
-        """Keep two shares equal in every plan; the diagnosis unties them to find which is due."""
-        rows = self.build.rows(name, one.items, one.stages)
-        self.build.add(one - other, into=rows)
-        self.ties.append(name)
 
     def penalise(self, cost: Expression) -> None:
         """Add the penalty of a shortfall, in $; it is part of no objective."""

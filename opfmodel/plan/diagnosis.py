@@ -10,7 +10,6 @@ from opfmodel.model.elastic import LEAST
 from solvers import Solution
 
 if TYPE_CHECKING:
-    from opfmodel.plan.request import Limits
     from opfmodel.plan.result import Plan
 
 __all__ = ["shortfall_due"]
@@ -23,11 +22,10 @@ def shortfall_due(plan: Plan) -> Solution:
     only loads that the plan sheds may be shed. Whoever adds the amounts makes the hard problem feasible. If
     the solver fails, the solution of the plan is returned, of which the same is true.
     """
-    if not plan.model.ties:
+    shares = plan.model.shares
+    if not (shares and plan.model.reactive):
         return plan.solution
-    least_shortage, _ = plan.problem.shortage_problems
-    limits: Limits = {
-        name: (0.0, np.where(plan.solution.value(name) > LEAST, 1.0, 0.0)) for name in plan.model.shares
-    } | dict.fromkeys(plan.model.ties, (-np.inf, np.inf))
-    found = least_shortage.solve_once(plan.request, limits=limits)
+    problem = plan.problem.parted_problem
+    most = np.where(plan.solution.value(shares[0]) > LEAST, 1.0, 0.0)
+    found = problem.solve_once(plan.request, limits=dict.fromkeys(problem.model.shares, (0.0, most)))
     return found.solution if found.optimal else plan.solution

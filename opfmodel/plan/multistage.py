@@ -161,7 +161,7 @@ class MultiStage:
         self.verbose = verbose
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
-        self._rationed = False
+        self._rationed, self._parted = False, False
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -248,7 +248,12 @@ class MultiStage:
         return self.variant(elastic=Elastic() if prices is None else prices)
 
     def variant(
-        self, *, elastic: Elastic | None, objective: Objective | None = None, rationed: bool = False
+        self,
+        *,
+        elastic: Elastic | None,
+        objective: Objective | None = None,
+        rationed: bool = False,
+        parted: bool = False,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
 
@@ -256,12 +261,14 @@ class MultiStage:
         ----------
         rationed
             Whether every solve limits the penalty.
+        parted
+            Whether active and reactive demand may be shed in different shares.
         """
         twin = copy(self)
-        for name in ("_compiled", "_objective_series", "shortage_problems"):
+        for name in ("_compiled", "_objective_series", "shortage_problems", "parted_problem"):
             vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
-        twin.elastic, twin._rationed = elastic, rationed
+        twin.elastic, twin._rationed, twin._parted = elastic, rationed, parted
         twin.objective = self.objective if objective is None else objective
         return twin
 
@@ -274,6 +281,11 @@ class MultiStage:
         """The problem of minimum penalty, and that of minimum cost at a given penalty."""
         least = self.variant(elastic=self.elastic, objective=Nothing(self.objective))
         return least, self.variant(elastic=self.elastic, rationed=True)
+
+    @cached_property
+    def parted_problem(self) -> MultiStage:
+        """The problem of minimum penalty in which active and reactive demand are shed independently."""
+        return self.variant(elastic=self.elastic, objective=Nothing(self.objective), parted=True)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -373,6 +385,7 @@ class MultiStage:
             zones=self.formulation.zones(self.arrays),
             series={*fields_with_series(self.profiles, self.arrays), *own},
             elastic=self.elastic,
+            parted=self._parted,
             regularisation=self.regularisation,
         )
         self.formulation.declare(model)
