@@ -195,7 +195,8 @@ class Shortage:
         text = f"{self.kind} {self.component} {self.soft.sentence(self.side).format(amount)}"
         if not self.hours.size:
             return text
-        text += f" at hour {self.hours[np.argmax(self.amounts)]:g}"
+        first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
+        text += f" at hour {self.hours[first]:g}"
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:

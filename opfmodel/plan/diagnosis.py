@@ -25,7 +25,9 @@ def shortfall_due(plan: Plan) -> Solution:
     shares = plan.model.shares
     if not (shares and plan.model.reactive):
         return plan.solution
-    problem = plan.problem.parted_problem
     most = np.where(plan.solution.value(shares[0]) > LEAST, 1.0, 0.0)
+    if not most.any():
+        return plan.solution
+    problem = plan.problem.parted_problem
     found = problem.solve_once(plan.request, limits=dict.fromkeys(problem.model.shares, (0.0, most)))
     return found.solution if found.optimal else plan.solution
