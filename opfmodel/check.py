@@ -78,6 +78,10 @@ class Report:
     ----------
     violations
         Largest violation of each family of constraints, including zero violations.
+    unserved
+        Largest unserved power of a load, active and reactive, if the data have any. To shed load is a
+        decision, which violates no limit and is metered as energy; an excess over the demand is a violation.
+        So is power from no source (``p_shortage`` and the like), since the balance does not hold without it.
     cost
         Recomputed operating cost over all stages, $.
     unchecked
@@ -88,13 +92,14 @@ class Report:
     """
 
     violations: dict[str, Violation] = field(default_factory=dict)
+    unserved: dict[str, Violation] = field(default_factory=dict)
     cost: float = 0.0
     simultaneous: float = 0.0
     unchecked: tuple[str, ...] = ()
 
     @property
     def max_violation(self) -> float:
-        """Largest violation of all families."""
+        """Largest violation of all families; unserved power is none."""
         return max((v.value for v in self.violations.values()), default=0.0)
 
     @property
@@ -113,7 +118,8 @@ class Report:
     def __str__(self) -> str:
         lines = [
             f"{v.family:<22} {v}  at {v.component}, time {v.time:g}"
-            for v in sorted(self.violations.values(), key=lambda v: -v.value)
+            for family in (self.violations, self.unserved)
+            for v in sorted(family.values(), key=lambda v: -v.value)
         ]
         left_out = [f"{'not checked':<22} {what}" for what in self.unchecked]
         return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} $", *left_out])
@@ -327,17 +333,20 @@ class _Checker:
             self.report.unchecked = (*self.report.unchecked, what)
 
     def note(self, family: str, names: list[str], excess: Array, unit: str) -> None:
-        """Record the largest violation of a family; ties go to the first component, then the first stage.
+        """Record the largest violation of a family; see :meth:`largest`."""
+        if names:
+            self.report.violations[family] = self.largest(family, names, excess, unit)
 
-        Without a violation, record the first component at the stage where it is closest to its limit.
+    def largest(self, family: str, names: list[str], excess: Array, unit: str) -> Violation:
+        """Return the largest value; ties go to the first component, then the first stage.
+
+        Without a violation, the first component at the stage where it is closest to its limit.
 
         Parameters
         ----------
         excess
             ``(items, stages)`` or ``(items, ends, stages)``, in ``unit``; NaN counts as infinite.
         """
-        if not names:
-            return
         rows = np.where(np.isnan(excess), np.inf, excess).reshape(-1, excess.shape[-1])
         ends = len(rows) // len(names)
         row, stage = divmod(int(rows.argmax()), rows.shape[1])
@@ -348,7 +357,7 @@ class _Checker:
         value = math.radians(physical) if unit == "deg" else physical / (self.base if power else 1.0)
         relative = physical / self.scale if power else value
         component, time = names[row // ends], float(self.trajectories.times[stage])
-        self.report.violations[family] = Violation(family, value, component, time, physical, unit, relative)
+        return Violation(family, value, component, time, physical, unit, relative)
 
     def inside(self, family: str, items: _Table, values: Array, bounds: Bounds, unit: str) -> None:
         """Check ``low <= values <= high``."""
@@ -467,14 +476,13 @@ class _Checker:
     def injections(self) -> Complex:
         """Complex power injected into each bus by devices and shunts, p.u."""
         buses, loads, shunts = self.buses, self.at_work(Load), self.at_work(Shunt)
-        demand = (loads.number("p") + 1j * loads.number("q")) / self.base
         g, b = shunts.constant("g") / self.base, shunts.constant("b") / self.base
         drawn = (g - 1j * b) * self.voltage_squared(shunts.each("bus"))
         total = np.zeros((len(buses.names), len(self.trajectories.times)), dtype=complex)
         for at, power in (
             (self.generators.each("bus"), self.power("pg", "qg", self.generators)),
             (self.storages.each("bus"), -self.power("ps", "qs", self.storages)),
-            (loads.each("bus"), self.lacking("p_unserved", "q_unserved", loads) - demand),
+            (loads.each("bus"), -self.served(loads)),
             *((buses.names, self.power(f"{k.kind}_p", f"{k.kind}_q", buses)) for k in self.others),
             (shunts.each("bus"), -drawn),
             (buses.names, self.lacking("p_shortage", "q_shortage", buses)),
@@ -488,8 +496,24 @@ class _Checker:
         q = items.values(reactive) if self.reactive and self.has(reactive) else 0.0
         return np.asarray((items.values(active) + 1j * q) / self.base)
 
+    def served(self, loads: _Table) -> Complex:
+        """Demand less its unserved part, p.u.; the latter lies between zero and the demand."""
+        power = np.zeros((len(loads.names), len(self.trajectories.times)), dtype=complex)
+        for letter, factor, unit in (("p", 1.0, "MW"), ("q", 1j, "MVAr")):
+            demand, quantity = loads.number(letter), f"{letter}_unserved"
+            power += factor * demand / self.base
+            if not (self.has(quantity) and loads.names):
+                continue
+            values, family = loads.values(quantity), quantity.replace("_", " ")
+            power -= factor * values / self.base
+            self.inside(
+                f"{family} range", loads, values, (np.minimum(demand, 0), np.maximum(demand, 0)), unit
+            )
+            self.report.unserved[family] = self.largest(family, loads.names, np.abs(values), unit)
+        return power
+
     def lacking(self, active: str, reactive: str, items: _Table) -> Complex:
-        """Unserved or surplus power reported by an elastic plan or a plant, p.u.; itself a violation."""
+        """Power without a source or sink reported by an elastic plan or a plant, p.u.; itself a violation."""
         power = np.zeros((len(items.names), len(self.trajectories.times)), dtype=complex)
         for quantity, factor, unit in ((active, 1.0, "MW"), (reactive, 1j, "MVAr")):
             if self.has(quantity):

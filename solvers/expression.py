@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -126,7 +126,10 @@ class _Symbolic:
         return Constraint(self - other, 0.0, 0.0)
 
     def __lt__(self, other: Any) -> Constraint:
-        raise ProgramError("a constraint cannot be strict; write <= or >=")
+        raise ProgramError(  # Python's max and min compare in this way
+            "a quantity cannot be compared by < or >; write <= or >= in a constraint, largest(0, x) for "
+            "max(0, x), and -largest(0, -x) for min(0, x)"
+        )
 
     __gt__ = __lt__
 
@@ -160,7 +163,7 @@ class Expression(_Symbolic):
         self.shape = shape
 
     def __repr__(self) -> str:
-        return f"Expression({self.formula}, shape={self.shape})"
+        return f"Expression(shape={self.shape})"
 
     @property
     def items(self) -> int:
@@ -173,11 +176,25 @@ class Expression(_Symbolic):
         return self.shape[1]
 
     def __getitem__(self, key: Any) -> Expression:
-        """Select items, or items and stages, as in a two-dimensional NumPy array."""
+        """Select items, or items and stages, as in a two-dimensional NumPy array.
+
+        Raises
+        ------
+        ProgramError
+            The key is not one of positions, slices and masks, or a position does not exist.
+        """
         keys = key if isinstance(key, tuple) else (key, slice(None))
+        if len(keys) != 2:
+            raise ProgramError(f"{key!r}: must select items, or items and stages, not {len(keys)} axes")
         rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
         old, new, leaves = [], [], {}
-        shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape
+        try:
+            shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape
+        except IndexError:
+            raise ProgramError(
+                f"{key!r}: there are {self.items} items and {self.stages} stages; select them by "
+                "positions from 0 on, a slice or a mask"
+            ) from None
         for leaf in self.leaves.values():
             source: Any = np.broadcast_to(leaf.source, self.shape)[rows][:, columns]
             moved = _leaf(self.builder, leaf.kind, source)
@@ -188,6 +205,10 @@ class Expression(_Symbolic):
         if old:
             formula = ca.substitute(formula, ca.vertcat(*old), ca.vertcat(*new))
         return Expression(self.builder, formula, leaves, shape)
+
+    def __iter__(self) -> Iterator[Expression]:
+        """Iterate over the items."""
+        return (self[item] for item in range(self.items))
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         if any(isinstance(i, Sum) for i in inputs):

@@ -56,6 +56,15 @@ def test_solve_a_network_file(call: Call) -> None:
     assert "2,178.08" in out
 
 
+def test_solve_reports_how_far_a_relaxation_is_from_exact(call: Call) -> None:
+    _, out, _ = call("solve", CASE14, "--formulation", "soc", "--json")
+    relaxation = json.loads(out)["relaxation"]
+    assert set(relaxation) == {"largest_cone_slack", "largest_angle_mismatch"}
+    assert 0 <= relaxation["largest_cone_slack"] < 1e-3
+    assert "largest angle mismatch" in call("solve", CASE14, "--formulation", "soc")[1]
+    assert json.loads(call("solve", CASE14, "--json")[1])["relaxation"] == {}
+
+
 def test_solve_a_scenario(call: Call) -> None:
     code, out, _ = call("solve", CASE5, "--horizon", 4, "--json")
     assert code == 0
@@ -506,7 +515,7 @@ def test_solve_diagnoses_an_infeasible_problem(call: Call) -> None:
     assert result["status"] == "locally_infeasible"
     assert "--on-infeasible elastic" in call(*arguments[:-2])[1]
     (sentence,) = result["diagnosis"]["0"]  # by step, as for a closed loop
-    assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (2 stages short)")
+    assert sentence.startswith("branch 4-5 exceeds its rating by 14.0 MVA at hour 0 (in 2 stages)")
     code, out, _ = call(*arguments)
     assert f"diagnosis: {sentence}" in out
     assert json.loads(call(*arguments[:-2], "--json")[1])["diagnosis"] == {}

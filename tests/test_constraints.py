@@ -154,8 +154,12 @@ def test_a_constraint_of_some_stages_only_has_no_price() -> None:
         (lambda s: s.generator.pk <= 3, {}, "'own': generator has no quantity 'pk' here; did you mean|available"),
         (lambda s: om.total(s.generator.pg) ** 2 <= 3, {}, "'own': a sum cannot be raised to a power"),
         (lambda s: om.total(s.generator.pg) / om.total(s.generator.pg) <= 3, {}, "'own': a sum .* divided by numbers"),
-        (lambda s: s.generator.pg < 3, {}, "'own': a constraint cannot be strict; write <= or >="),
-        (lambda s: om.total(s.generator.pg) > 3, {}, "'own': a constraint cannot be strict; write <= or >="),
+        (lambda s: s.generator.pg < 3, {}, "'own': .* write <= or >="),
+        (lambda s: om.total(s.generator.pg) > 3, {}, "'own': .* write <= or >="),
+        (lambda s: max(0, s.generator.pg) <= 3, {}, r"'own': .* largest\(0, x\)"),
+        (lambda s: s.generator.pg[[7]] <= 3, {}, r"'own': \[7\]: there are 2 items"),
+        (lambda s: s.generator.pg["coal"] <= 3, {}, "'own': 'coal': there are 2 items .* positions"),
+        (lambda s: s.generator.pg[0, 0, 0] <= 3, {}, "'own': .* not 3 axes"),
         (lambda s: abs(s.generator.pg) <= 3, {}, r"'own': an absolute value is not smooth; write largest\(x, -x\)"),
         (lambda s: om.total(s.generator.pg) <= np.inf, {}, "'own': an array .* finite"),
         (lambda s: s.generator.pg, {"at_most": "3"}, "'own': at_most = '3': must be a number or one number per"),
@@ -168,6 +172,27 @@ def test_misuse_is_said(state, limits, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         made.constrain("own", state, **limits)
         made.solve()
+
+
+@pytest.mark.parametrize(("name", "fault"), [("a/b", "'/'"), ("", "empty"), (3, "text"), ("a\n", "visible")])
+def test_a_name_is_checked_when_it_is_stated(name: str, fault: str) -> None:
+    with pytest.raises(ModelError, match=fault):
+        problem("dc").constrain(name, lambda s: s.generator.pg <= 3)
+
+
+def test_what_is_returned_in_place_of_a_comparison_is_named_by_its_kind() -> None:
+    made = problem("dc")
+    made.constrain("own", lambda s: 100 * s.generator.pg - 3)
+    with pytest.raises(ModelError) as caught:
+        made.compile()
+    assert str(caught.value).endswith("must return a comparison of quantities, not a quantity")
+
+
+def test_quantities_can_be_iterated() -> None:
+    one, other = problem("dc"), problem("dc")
+    one.constrain("own", lambda s: om.total(sum(s.generator.pg)) <= 70)
+    other.constrain("own", lambda s: om.total(s.generator.pg) <= 70)
+    assert one.solve().status == other.solve().status
 
 
 def test_a_price_of_that_name_is_there_already() -> None:

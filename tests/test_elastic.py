@@ -45,7 +45,7 @@ def test_a_lack_of_capacity(formulation: str) -> None:
         one_bus(40), 4, formulation=formulation, profiles={"town.p": [35, 50, 72.1, 40]}, step=2
     )
     assert not problem.solve().optimal
-    assert sentences(problem) == ["bus 4 lacks 32.1 MW at hour 4 (2 stages short, 84.2 MWh in all)"]
+    assert sentences(problem) == ["bus 4 lacks 32.1 MW at hour 4 (in 2 stages, 84.2 MWh in all)"]
 
 
 @pytest.mark.parametrize("formulation", ["dc", "dc-matpower"])
@@ -83,7 +83,7 @@ def test_voltages(formulation: str) -> None:
     assert not problem.solve().optimal
     plan = problem.elastic_twin().solve()
     (shortage,) = plan.shortages
-    assert str(shortage).endswith("p.u. over its maximum voltage at hour 0")
+    assert str(shortage).endswith("p.u. above its maximum voltage at hour 0")
     assert shortage.worst == pytest.approx(check(grid, plan.data).violations["voltage"].value, rel=1e-4)
 
 
@@ -221,6 +221,17 @@ def test_a_cost_above_the_price_of_shedding_sheds_no_more(formulation: str, pric
     assert plan.objective == pytest.approx(145 * price, rel=1e-4)
 
 
+@pytest.mark.parametrize("formulation", ["dc", "copperplate"])
+def test_a_cost_at_which_the_solver_fails_does_not_hide_the_shortage(formulation: str) -> None:
+    grid = one_bus(100)
+    grid.update("unit", cost=om.Polynomial(0, 1e8, 0))
+    problem = om.MultiStage(grid, 4, formulation=formulation, profiles={"town.p": [80, 120, 80, 80]})
+    plan = problem.elastic_twin().solve()
+    assert plan.optimal
+    (shortage,) = plan.shortages
+    np.testing.assert_allclose(shortage.amounts, [0, 20, 0, 0], atol=1e-3)
+
+
 def test_among_the_plans_with_the_least_shortage_the_cheapest_is_taken() -> None:
     grid = one_bus(40)
     grid.update("unit", cost=om.Polynomial(0, 30_000, 0))
@@ -266,11 +277,47 @@ def test_a_lack_of_reactive_power_is_called_so(formulation: str) -> None:
     assert half.data["p_unserved"].values[0, 0] == pytest.approx(40, abs=1e-2)
 
 
-def test_a_lack_of_both_is_called_after_the_tighter() -> None:
+def test_a_lack_of_both_is_reported_as_such() -> None:
     grid = one_bus(20)
     grid.update("unit", q=(0, 50))
     grid.update("town", p=80, q=60)
-    assert sentences(om.MultiStage(grid)) == ["bus 4 lacks 60.0 MW at hour 0"]
+    active, reactive = om.MultiStage(grid).elastic_twin().solve().shortages
+    assert (active.unit, active.worst) == ("MW", pytest.approx(60, abs=1e-2))
+    assert (reactive.unit, reactive.worst) == ("MVAr", pytest.approx(10, abs=1e-2))
+
+
+def lacking(p: float, q: float) -> om.Network:
+    """A line with a generator of p MW and q MVAr, which may be too small for 50 MW and 20 MVAr."""
+    grid = om.Network("lacking")
+    grid.a = om.Bus(vm=(0.8, 1.2), reference=True)
+    grid.b = om.Bus(vm=(0.8, 1.2))
+    grid.line = om.Branch("a", "b", r=0.01, x=0.1)
+    grid.unit = om.Generator("a", p=(0, p), q=(-q, q), cost=om.Polynomial(0, 20, 0))
+    grid.town = om.Load("b", p=50, q=20)
+    return grid
+
+
+@pytest.mark.parametrize("formulation", ["ac", "soc"])
+@pytest.mark.parametrize(("p", "q", "units"), [(30, 5, 2), (45, 15, 2), (10, 5, 2), (10, 0, 2), (30, 25, 1)])
+def test_neither_shortage_hides_the_other(formulation: str, p: float, q: float, units: int) -> None:
+    plan = om.MultiStage(lacking(p, q), formulation=formulation).elastic_twin().solve()
+    worst = {shortage.unit: shortage.worst for shortage in plan.shortages if shortage.component == "b"}
+    assert len(worst) == units
+    assert worst["MW"] == pytest.approx(float(plan.data["p_unserved"].max()), rel=0.01)
+
+
+@settings(max_examples=25)
+@given(p=st.floats(0, 70), q=st.floats(0, 40), formulation=st.sampled_from(["ac", "soc"]))
+def test_with_what_is_reported_the_hard_problem_is_feasible(p: float, q: float, formulation: str) -> None:
+    grid = lacking(p, q)
+    dear_limits = om.Elastic(limit=1e6)  # what remains is a lack of power
+    plan = om.MultiStage(grid, formulation=formulation).elastic_twin(dear_limits).solve()
+    assert plan.optimal
+    for number, shortage in enumerate(plan.shortages):
+        field = {"MW": "p", "MVAr": "q"}[shortage.unit]
+        added = {"p": (0.0, 0.0), "q": (0.0, 0.0)} | {field: (0.0, shortage.worst + 1e-2)}
+        grid.add(f"added {number}", om.Generator(shortage.component, **added))
+    assert om.MultiStage(grid, formulation=formulation).solve().optimal
 
 
 @pytest.mark.parametrize("formulation", ["ac", "soc", "dc"])
@@ -288,13 +335,32 @@ def test_demand_less_what_is_short_can_be_served(formulation: str) -> None:
         assert om.MultiStage(grid, 2, formulation=formulation, profiles=series).solve().optimal is served
 
 
-def test_the_check_counts_what_is_not_served_as_a_violation_but_balances_it() -> None:
+def test_the_check_shows_what_is_not_served_and_balances_it() -> None:
     grid = one_bus(40)
     plan = om.MultiStage(grid).elastic_twin().solve()
     report = check(grid, plan.data)
+    assert report.max_violation < 1e-6
+    assert "p unserved" in str(report)
     assert report.violations["active balance"].value < 1e-6
-    assert report.violations["p unserved"].value == pytest.approx(0.1, abs=1e-5)
-    assert report.worst.family == "p unserved"
+    assert report.unserved["p unserved"].value == pytest.approx(0.1, abs=1e-5)
+    assert report.unserved["p unserved"].component == "town"
+
+
+@pytest.mark.parametrize(("unserved", "excess"), [(60.0, 10.0), (-5.0, 5.0)])
+def test_no_more_than_the_demand_can_be_unserved(unserved: float, excess: float) -> None:
+    grid = one_bus(40)
+    data = om.MultiStage(grid).elastic_twin().solve().data
+    data["p_unserved"][:] = unserved
+    found = check(grid, data).violations["p unserved range"]
+    assert (found.physical, found.component) == (pytest.approx(excess), "town")
+
+
+def test_power_without_a_source_is_a_violation() -> None:
+    grid = one_bus(40)
+    prices = om.Elastic(shedding=10_000, balance=1_000)  # cheaper than shedding
+    report = check(grid, om.MultiStage(grid).elastic_twin(prices).solve().data)
+    assert report.worst.family == "active balance"
+    assert report.max_violation == pytest.approx(0.1, abs=1e-5)
 
 
 @pytest.mark.parametrize("price", [0.0, -1.0, float("inf"), "much"])
@@ -341,3 +407,8 @@ def test_only_stop_and_elastic_are_accepted() -> None:
         om.simulate(problem, on_infeasible="pray")  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=r"on_infeasible = 'elastic': .*controller"):
         om.simulate(om.Controller(problem), on_infeasible="elastic")
+
+
+def test_one_stage_is_a_stage() -> None:
+    assert om.MultiStage(one_bus(40)).compile().name == "one-bus, 1 stage of 1 h"
+    assert om.MultiStage(one_bus(40), 2, 0.5).compile().name == "one-bus, 2 stages of 0.5 h"

@@ -252,5 +252,23 @@ def test_series_keep_the_rules_of_their_fields(
         om.MultiStage(grid, profiles=series)
 
 
+@pytest.mark.parametrize(
+    ("vm", "absurd"), [((104, 116), True), ((0.95, 1.05), False), ((0, np.inf), False), ((0.0, 0.05), True)]
+)
+def test_implausible_voltage_limits_are_noted(
+    grid: om.Network, vm: tuple[float, float], absurd: bool
+) -> None:
+    grid.update("south", vm=vm)
+    notes = per_unit(grid).notes
+    assert any(f"vm = ({vm[0]:g}, {vm[1]:g}) at 'south'" in note for note in notes) is absurd
+
+
+def test_an_assignment_to_a_component_says_how_to_change_it(grid: om.Network) -> None:
+    with pytest.raises(ComponentError, match=r"Load: p = 60: .* network\.update\(name, p="):
+        grid.town.p = 60
+    grid.update("town", p=60)
+    assert grid.town.p == 60
+
+
 def test_bounds_may_move_together(grid: om.Network) -> None:
     om.MultiStage(grid, profiles={"coal.p_min": [250.0, 10], "coal.p_max": [300.0, 10]})

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.errors import ComponentError, ModelError, PluginError, ProfileError
+from opfmodel.errors import ComponentError, IncompatibleError, ModelError, PluginError, ProfileError
 
 WAVE = {"town.p": [60, 90, 110, 110, 70, 60, 80, 100], "town.q": [20, 30, 35, 35, 22, 20, 25, 30]}
 
@@ -355,11 +355,15 @@ def test_a_store_cannot_lose_more_than_it_has() -> None:
         om.MultiStage(grid, 2, step=2.0).solve()
 
 
-def test_a_branch_without_reactance_is_named() -> None:
+@pytest.mark.parametrize("formulation", ["dc", "dc-losses", "dc-matpower"])
+def test_a_branch_without_reactance_is_named_with_formulations_that_accept_it(formulation: str) -> None:
     grid = two_bus()
     grid.update("tie", x=0.0)
-    with pytest.raises(ModelError, match="tie: x = 0: formulation 'dc-matpower' divides by it"):
-        om.MultiStage(grid, formulation="dc-matpower").solve()
+    with pytest.raises(IncompatibleError, match=f"tie: x = 0: formulation '{formulation}'") as caught:
+        om.MultiStage(grid, formulation=formulation).solve()
+    for other in ("ac", "ac-rectangular", "soc", "copperplate"):
+        assert repr(other) in str(caught.value)
+        assert om.MultiStage(grid, formulation=other).solve().optimal
 
 
 def test_a_dangling_component_is_found_when_the_problem_is_made() -> None:
@@ -375,3 +379,34 @@ def test_a_ramp_has_its_price_in_a_horizon_of_one_stage() -> None:
     price = float(plan.data["pg_ramp_price"].values[0, 0])
     assert price == pytest.approx(plan.objective - lower.objective, rel=1e-2)
     assert price > 15
+
+
+@pytest.mark.parametrize("formulation", ["ac", "soc", "dc", "copperplate"])
+def test_a_network_without_generators_is_diagnosed_and_costs_nothing(formulation: str) -> None:
+    grid = two_bus()
+    grid.remove("coal")
+    grid.update("cell", initial=200.0, power=100, q=100)
+    objective = om.Economic(reactive_weight=1.0, energy_weight=0.0)
+    served = om.MultiStage(grid, 2, formulation=formulation, objective=objective).solve()
+    assert served.optimal
+    assert served.objective == pytest.approx(0.0)
+    assert served.data.sizes["generator"] == 0
+    grid.update("cell", in_service=False)
+    problem = om.MultiStage(grid, 2, formulation=formulation, objective=objective)
+    assert problem.solve().infeasible
+    assert problem.elastic_twin().solve().shortages[0].worst == pytest.approx(90.0, rel=1e-4)
+    run = om.simulate(problem, om.Redispatch(), 2, on_infeasible="elastic")
+    assert run.summary()["shed_mwh"] == pytest.approx(180.0, rel=1e-4)
+
+
+def test_an_objective_of_absent_storage_costs_nothing() -> None:
+    grid = two_bus()
+    grid.remove("cell")
+    objective = om.Economic() + om.StateOfChargeTracking()
+    plan = om.MultiStage(grid, objective=objective).solve()
+    assert plan.objective == pytest.approx(om.MultiStage(grid).solve().objective)
+
+
+def test_a_problem_is_shown_by_its_parts() -> None:
+    assert repr(problem(6)) == "MultiStage('two-bus': 6 stages of 1 h, ac, Economic)"
+    assert "1 stage of 0.5 h, dc" in repr(om.MultiStage(two_bus(), step=0.5, formulation="dc"))

@@ -281,6 +281,13 @@ def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:
         (MINIMAL + 'variants: {"a\\n": {}}\n', ":4:12: .*'a.n'.*visible"),
         (MINIMAL + '  loads: {"a\\u202e": {bus: a, p: 1}}\n', ":4:11: .*'a.u202e'.*visible"),
         (MINIMAL + 'constraints: {"a\\0": {terms: {g.pg: 1}, at_least: 0}}\n', ":4:15: .*'a.x00'.*visible"),
+        (MINIMAL + "constraints: {a/b: {terms: {g.pg: 1}, at_least: 0}}\n", ":4:15: constraints.a/b: .*'/'"),
+        (MINIMAL + 'constraints: {"": {terms: {g.pg: 1}, at_least: 0}}\n', ":4:15: .*empty"),
+        (
+            MINIMAL.replace("[0, 9]", "[0, 9], ramp: 1")
+            + "constraints: {pg_ramp: {terms: {g.pg: 1}, at_least: 0}}\n",
+            ":4:15: constraints.pg_ramp: .*'pg_ramp_price'",
+        ),
         ("scenario: a.yaml\nvary: {}\n", ":2:1: vary: .*'opfmodel study run'"),
         ("network: {}\n", "has no bus in service"),
         ("network: {buses: [a, b]}\n", "must be a mapping from names to fields"),

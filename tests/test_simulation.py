@@ -210,3 +210,10 @@ def test_ctrl_c_ends_a_comparison(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(om.NominalPlant, "apply", interrupted)
     with pytest.raises(KeyboardInterrupt):
         compare(SCENARIOS / "case5-step.yaml")
+
+
+def test_a_controller_checks_its_parts() -> None:
+    with pytest.raises(ModelError, match="forecast = 'noisy': must be None or an object of class Forecast"):
+        om.Controller(problem(2), forecast="noisy")
+    with pytest.raises(ModelError, match="elastic = 5000: must be None or an object of class Elastic"):
+        om.Controller(problem(2), elastic=5000)

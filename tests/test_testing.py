@@ -23,6 +23,8 @@ from opfmodel.model import Device
 from opfmodel.network import Component, at_bus, flag, number
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
+from opfmodel.plan import End
+from opfmodel.plan.request import Request
 from opfmodel.profiles.base import ProfileRule
 from opfmodel.simulation import Step
 from opfmodel.testing import (
@@ -496,7 +498,7 @@ def test_maxima_at_random_points_are_identified_by_type_not_by_name() -> None:
     program = build.build()
     solved = SimpleNamespace(
         solution=solvers.solve(program), problem=SimpleNamespace(model=None), stage=SimpleNamespace(network=None),
-        time=0,
+        request=Request(0, None, End(), None),
     )  # fmt: skip
     solution = at_random(solved, np.random.default_rng(1)).solution
     value = solution.value("largest_load")

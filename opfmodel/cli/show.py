@@ -45,6 +45,7 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
             "solver": f"{solution.solver}, {iterations}",
             "time": f"{problem.build_seconds:.3f} s build, {solution.seconds:.3f} s solve",
             **({} if report is None else _verified(report)),
+            **{key.replace("_", " "): f"{value:.1e}" for key, value in solved.relaxation.items()},
         }
     )
     _diagnosis(diagnosis)

@@ -68,6 +68,7 @@ def solve(
                 "max_violation": None if report is None else report.max_violation,
                 "violations": {} if report is None else report.as_dict(),
                 "unchecked": [] if report is None else list(report.unchecked),
+                "relaxation": plan.relaxation,
                 "formulation": problem.formulation.name,
                 "solver": plan.solution.solver,
                 "variables": plan.solution.program.n_variables,

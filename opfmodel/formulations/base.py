@@ -21,6 +21,7 @@ __all__ = [
     "limit_products",
     "price_rating",
     "publish_flows",
+    "reactance",
     "shunts",
     "soft_rating",
     "soft_voltage",
@@ -66,6 +67,25 @@ def angles(model: Model) -> Expression:
     free = np.full(len(bus), np.inf)
     free[model.network.reference] = 0.0
     return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+
+
+def reactance(network: PerUnitNetwork, formulation: str) -> Array:
+    """Return the reactances of the branches, for formulations in which they alone carry the flow.
+
+    Raises
+    ------
+    IncompatibleError
+        A branch has none, and would be open in such a formulation.
+    """
+    branch = network.branch
+    without = np.flatnonzero(branch.x == 0.0)
+    if without.size:
+        raise IncompatibleError(
+            f"{branch.names[without[0]]}: x = 0: formulation {formulation!r} needs the reactance of every "
+            "branch; 'ac', 'ac-rectangular', 'soc' and 'copperplate' do not"
+        )
+    x: Array = branch.x
+    return x
 
 
 def shunts(model: Model, vm_squared: Expression | float) -> None:
@@ -208,7 +228,7 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
 def soft_voltage(model: Model, squared: bool = False) -> Soft:
     """Return how the voltage limits of all buses are softened in an elastic problem."""
     buses = np.arange(len(model.network.bus))
-    below, above = "is {} below its minimum voltage", "is {} over its maximum voltage"
+    below, above = "is {} below its minimum voltage", "is {} above its maximum voltage"
     return Soft("voltage", buses, "p.u.", below, above, squared=squared)
 
 
@@ -219,7 +239,7 @@ def soft_rating(members: Index, squared: bool = False, ends: int = 2) -> Soft:
 
 
 def _soft_angle(members: Index) -> Soft:
-    return Soft("angle", members, "deg", "is {} below its minimum angle", "is {} over its maximum angle")
+    return Soft("angle", members, "deg", "is {} below its minimum angle", "is {} above its maximum angle")
 
 
 def _angle_limited(model: Model) -> Index:

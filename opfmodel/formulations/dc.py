@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from opfmodel.errors import IncompatibleError
-from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
+from opfmodel.formulations.base import (
+    Formulation,
+    angles,
+    limit_angle,
+    limit_flows,
+    publish_flows,
+    reactance,
+    shunts,
+)
 from opfmodel.model import Model
 from opfmodel.network.arrays import Array, PerUnitNetwork
 from solvers import Expression
@@ -30,7 +35,8 @@ class DC(Formulation):
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
-        susceptance: Array = branch.x / (branch.r**2 + branch.x**2)
+        x = reactance(network, self.name)
+        susceptance: Array = x / (branch.r**2 + x**2)
         return angle * susceptance
 
     def declare(self, model: Model) -> None:
@@ -62,12 +68,6 @@ class DCMatpower(DC):
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
-        without = np.flatnonzero(branch.x == 0.0)
-        if without.size:
-            raise IncompatibleError(
-                f"{branch.names[without[0]]}: x = 0: formulation {self.name!r} divides by it; "
-                "formulation 'dc' does not"
-            )
-        susceptance: Array = 1.0 / (branch.x * branch.tap)
+        susceptance: Array = 1.0 / (reactance(network, self.name) * branch.tap)
         shifted: Expression = angle - branch.shift
         return shifted * susceptance

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from opfmodel.formulations.base import Formulation, angles, limit_angle, limit_flows, publish_flows, shunts
+from opfmodel.formulations.base import (
+    Formulation,
+    angles,
+    limit_angle,
+    limit_flows,
+    publish_flows,
+    reactance,
+    shunts,
+)
 from opfmodel.model import Model
 
 __all__ = ["DCLosses"]
@@ -36,8 +44,9 @@ class DCLosses(Formulation):
         va = angles(model)
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
-        impedance = branch.r**2 + branch.x**2
-        flow = branch.x / impedance * angle
+        x = reactance(model.network, self.name)
+        impedance = branch.r**2 + x**2
+        flow = x / impedance * angle
         conductance = branch.r / impedance
         lossy = np.flatnonzero(conductance > 0)
         upper = np.where(conductance > 0, np.inf, 0.0)

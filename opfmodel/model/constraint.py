@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ConstraintError, ModelError, nearest, shown
+from opfmodel.errors import ConstraintError, ModelError, name_fault, nearest, shown
 from opfmodel.model.elastic import Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import Stage
@@ -50,13 +50,15 @@ class CustomConstraint:
         at_least: npt.ArrayLike | None = None,
         at_most: npt.ArrayLike | None = None,
     ) -> CustomConstraint:
-        """Create a constraint and check its limits.
+        """Create a constraint and check its name and limits.
 
         Raises
         ------
         ConstraintError
-            A limit is not a number or a vector of numbers, or the two limits cross; ``key`` names the limit.
+            Results cannot have a price of that name; a limit is not a number or a vector of numbers, or the
+            two limits cross, where ``key`` names the limit.
         """
+        _check_name(name)
         lower, upper = _limit("at_least", at_least, -np.inf), _limit("at_most", at_most, np.inf)
         steps = min((limit.size for limit in (lower, upper) if limit.ndim), default=1)
         low, high = (
@@ -77,6 +79,11 @@ class CustomConstraint:
     def length(self) -> int | None:
         """Number of values of its limits; None if none changes in time."""
         return min((limit.size for limit in (self.at_least, self.at_most) if limit.ndim), default=None)
+
+    @property
+    def price(self) -> str:
+        """Name of the price in results."""
+        return f"{self.name}_price"
 
     @property
     def rows(self) -> str:
@@ -111,6 +118,7 @@ class CustomConstraint:
         ModelError, SolverError
             The function does not return a comparison, quantity or total, or the program cannot express it.
         """
+        self.check_price(model)
         stated = self._stated(model)
         rows = model.build.constrain(self.rows, stated)
         items, stages = rows.index.shape
@@ -122,26 +130,46 @@ class CustomConstraint:
         model.soften("constraint", rows, soft, *limits)
         if stages == model.stages:
             model.price(
-                "" if items == 1 else f"{self.name}_item", f"{self.name}_price",
+                "" if items == 1 else f"{self.name}_item", self.price,
                 lambda solution, _: -solution.dual(rows.name) / model.step,
                 "$/h", f"increase in cost per unit increase of the right-hand side of {self.name!r}",
             )  # fmt: skip
         elif self.limited:
             raise ModelError("at_least and at_most apply to every stage; use >= or <= for some of them")
 
+    def check_price(self, model: Model) -> None:
+        """Raise :class:`ConstraintError` if a quantity or price has the name of the price."""
+        if model.has_name(self.price):
+            raise ConstraintError(f"the results already have {self.price!r}; choose another name")
+
     def _stated(self, model: Model) -> Constraint:
         """Return the comparison given by the function, or one whose limits are set in every solve."""
         stated = self.state(PhysicalStage(model))
-        if f"{self.name}_price" in model.prices:
-            raise ModelError(f"the price '{self.name}_price' already exists; choose another name")
         if isinstance(stated, Expression | Sum) and self.limited:
             return Constraint(stated, -np.inf, np.inf)
         if not isinstance(stated, Constraint):
             wanted = "a quantity or a total" if self.limited else "a comparison of quantities"
-            raise ModelError(f"must return {wanted}, not {stated!r}")
+            raise ModelError(f"must return {wanted}, not {_described(stated)}")
         if self.limited:
             raise ModelError("already returns a comparison; omit at_least and at_most")
         return stated
+
+
+def _check_name(name: object) -> None:
+    """Raise :class:`ConstraintError` unless a variable in a results file can have the name."""
+    fault = "must be a text" if not isinstance(name, str) else name_fault(name)
+    if name == "":
+        fault = "is empty"
+    elif "/" in str(name):
+        fault = "has a '/', which names in results files cannot have"
+    if fault:
+        raise ConstraintError(f"the name {fault}")
+
+
+def _described(stated: object) -> str:
+    """Describe what a function returned: the kind if it is symbolic, else the value."""
+    kinds = {Expression: "a quantity", Sum: "a total", Constraint: "a comparison"}
+    return kinds[type(stated)] if type(stated) in kinds else shown(stated)
 
 
 def _limit(side: str, given: npt.ArrayLike | None, absent: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -15,12 +15,12 @@ from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
 from solvers import Solution
 
-__all__ = ["Elastic", "Shortage", "Side", "Slack", "Soft", "shortages"]
+__all__ = ["LEAST", "Elastic", "Shortage", "Side", "Slack", "Soft", "shortages"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-_LEAST = 1e-5  # p.u.; a smaller slack is solver tolerance, not a shortfall
+LEAST = 1e-5  # p.u.; a smaller slack is solver tolerance, not a shortfall
 _TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
 
 
@@ -128,22 +128,16 @@ class Slack:
     Attributes
     ----------
     block
-        Name of the variable block.
-    counts
-        Function that returns, given the minimum-penalty solution, which values are shortfalls in their
-        own right rather than consequences of another; all by default.
+        Name of the variable block or output.
     """
 
     block: str
     kind: str
     soft: Soft
     side: Side
-    counts: Callable[[Solution, PerUnitNetwork], npt.NDArray[np.bool_]] | None = None
 
-    def parts(self, values: Array, network: PerUnitNetwork, least: Solution) -> list[tuple[Side, Array]]:
+    def parts(self, values: Array) -> list[tuple[Side, Array]]:
         """Return the violation on each side, p.u., from the positive and negative values of the variable."""
-        if self.counts is not None:
-            values = np.where(self.counts(least, network), values, 0.0)
         return [(self.side, np.maximum(values, 0.0)), (self.side.other, np.maximum(-values, 0.0))]
 
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
@@ -173,7 +167,7 @@ class Shortage:
     step
         Hours per stage.
     cost
-        Penalty at the prices of the elastic problem, $.
+        Amount times the price of the elastic problem, $.
     """
 
     kind: str
@@ -201,19 +195,19 @@ class Shortage:
         text = f"{self.kind} {self.component} {self.soft.sentence(self.side).format(amount)}"
         if not self.hours.size:
             return text
-        text += f" at hour {self.hours[np.argmax(self.amounts)]:g}"
+        first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
+        text += f" at hour {self.hours[first]:g}"
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
                 total = f", {_figure(float(self.amounts.sum()) * self.step)} {_TOTALS[self.unit]} in all"
-            text += f" ({short.size} stages short{total})"
+            text += f" (in {short.size} stages{total})"
         return text
 
 
 def shortages(
     slacks: Iterable[Slack],
     solution: Solution,
-    least: Solution,
     network: PerUnitNetwork,
     prices: Elastic,
     step: float,
@@ -225,30 +219,29 @@ def shortages(
     ----------
     solution
         The solution to report.
-    least
-        The minimum-penalty solution, whose shadow prices identify the cause of a shortfall.
     hours
         Hour at which each stage begins.
     """
-    found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array]] = {}
+    found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
     for slack in slacks:
         soft = slack.soft
         names = soft.names or network.tables[slack.kind].names
-        for side, part in slack.parts(solution.value(slack.block), network, least):
+        for side, part in slack.parts(solution.value(slack.block)):
             spread = slack.spread(part, len(names), hours.size) if soft.timed else part
-            for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > _LEAST):
+            priced = float(getattr(prices, soft.price)) * spread * step
+            for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > LEAST):
                 key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
-                _, known = found.get(key, (soft, np.zeros(spread.shape[1])))
+                none = np.zeros(spread.shape[1])
+                _, known, cost = found.get(key, (soft, none, none))
                 # the ends of a branch share one rating; the shortfalls of several loads at a bus add up
                 join = np.maximum if soft.price == "limit" else np.add
-                found[key] = soft, join(known, spread[item])
+                found[key] = soft, join(known, spread[item]), join(cost, priced[item])
     made = []
-    for (kind, component, _, unit, side), (soft, amounts) in found.items():
-        cost = float(getattr(prices, soft.price)) * float(amounts.sum()) * step
-        cost *= network.base_mva if unit else 1.0
+    for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
+        total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
         moments = hours if soft.timed else hours[:0]
-        made.append(Shortage(kind, component, soft, side, physical, moments, step, cost))
+        made.append(Shortage(kind, component, soft, side, physical, moments, step, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

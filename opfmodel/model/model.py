@@ -57,6 +57,8 @@ class Model:
         ``(kind, field)`` pairs that have time series.
     elastic
         Penalty prices of soft limits; None keeps every limit hard.
+    parted
+        Whether different shares of active and reactive demand may be unserved, to diagnose a shortage.
     regularisation
         Weight in $/(h p.u.²) of the squares of regularised quantities.
 
@@ -66,6 +68,8 @@ class Model:
         Fields that have time series, by ``(kind, field)``.
     slacks
         Slack variables of soft limits, by name; empty unless elastic.
+    shares
+        Names of the variables of an elastic problem that are shares of demand; see :meth:`share`.
     penalties
         Penalties of the slacks by item and stage, $.
     """
@@ -80,18 +84,22 @@ class Model:
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
         elastic: Elastic | None = None,
+        parted: bool = False,
         regularisation: float = 0.0,
     ) -> None:
         self.network = network
         self.regularisation = regularisation
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
+        self.shares: list[str] = []
+        self.parted = parted
         self.penalties: list[Expression] = []
         self.stages = stages
         self.step = step
         self.reactive = reactive
         self.zones = zones
-        self.build = ProgramBuilder(f"{network.name}, {stages} stage{'s' * (stages != 1)} of {step:g} h")
+        noun = "stage" if stages == 1 else "stages"
+        self.build = ProgramBuilder(f"{network.name}, {stages} {noun} of {step:g} h")
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -256,7 +264,7 @@ class Model:
         """
         items = np.arange(len(self.network.tables[kind]))
         soft = Soft(
-            "stock", items, unit, "is {} below its minimum", "is {} over its capacity", "balance", first=-1
+            "stock", items, unit, "is {} below its minimum", "is {} above its capacity", "balance", first=-1
         )
         values = self.variable(
             kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False, soft=soft
@@ -271,7 +279,7 @@ class Model:
         self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
         end = Soft(
             "cyclic end", items, unit,
-            "ends {} short of where it began", "ends {} over where it began",
+            "ends {} short of where it began", "ends {} above where it began",
             "balance", first=self.stages - 1,
         )  # fmt: skip
         self.soften(kind, cyclic, end)
@@ -366,6 +374,11 @@ class Model:
         self.slacks[slack.block] = slack
         return values
 
+    def share(self, kind: str, name: str) -> Expression:
+        """Declare the unserved share of every component of a kind, from 0 to 1, without a penalty."""
+        self.shares.append(name)
+        return self.build.variable(name, len(self.network.tables[kind]), self.stages, 0.0, 1.0)
+
     def penalise(self, cost: Expression) -> None:
         """Add the penalty of a shortfall, in $; it is part of no objective."""
         self.penalties.append(cost)
@@ -430,8 +443,12 @@ class Model:
 
     def _name(self, name: str) -> None:
         """Raise an error if a quantity or price of that name exists, for results are keyed by name."""
-        if name in (*self.published, *self.reported, *self.prices, *DEMAND):
+        if self.has_name(name):
             raise IncompatibleError(f"two quantities are named {name!r}")
+
+    def has_name(self, name: str) -> bool:
+        """Whether results have a quantity or price of that name."""
+        return name in (*self.published, *self.reported, *self.prices, *DEMAND)
 
     def field(self, kind: str, field: str) -> Any:
         """Return a field of the network: a parameter if it has time series, else numbers ``(items, 1)``."""

@@ -31,6 +31,7 @@ Index = npt.NDArray[np.intp]
 
 # Plausible capacity in per unit on the declared base, from single households on 100 MVA to continents.
 _SMALLEST, _LARGEST = 1e-5, 1e4
+_PLAUSIBLE_VM = 0.1, 10.0  # p.u.
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +223,7 @@ def _lay_out(network: Network) -> PerUnitNetwork:
     if not names:
         raise NetworkError(f"network {network.name!r} has no bus in service")
     base_mva = network.scale_mva
-    notes += _absurd_base(network)
+    notes += [*_absurd_base(network), *_absurd_voltages({b: buses[b] for b in names})]
     kinds = dict.fromkeys((*BUILT_IN, *network.kinds()))
     position = {b: i for i, b in enumerate(names)}
     tables = {
@@ -259,6 +260,19 @@ def _absurd_base(network: Network) -> list[str]:
     return [
         f"base_mva = {network.base_mva:g} for a system of {network.capacity_mva:g} MW: "
         "are the impedances of its branches per unit on that base?"
+    ]
+
+
+def _absurd_voltages(buses: Mapping[str, Bus]) -> list[str]:
+    """Note voltage limits that are implausible in p.u., as those in kV are."""
+    least, most = _PLAUSIBLE_VM
+    absurd = [b for b, bus in buses.items() if bus.vm[1] < least or bus.vm[0] > most]
+    if not absurd:
+        return []
+    low, high = buses[absurd[0]].vm
+    return [
+        f"vm = ({low:g}, {high:g}) at {listed(map(repr, absurd))}: are these limits per unit on the "
+        "nominal voltage of the bus?"
     ]
 
 

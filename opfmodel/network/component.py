@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from opfmodel.errors import ComponentError, ProfileError, nearest
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
@@ -22,7 +22,7 @@ from opfmodel.network.fields import (
     type_of_span,
 )
 
-__all__ = ["Component", "plain_value"]
+__all__ = ["Component", "component", "plain_value"]
 
 
 def _type_of_cost(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
@@ -234,6 +234,23 @@ class Component:
         component = cls(**converted)
         component.check_declared(name)
         return component
+
+
+_Kind = TypeVar("_Kind", bound=Component)
+
+
+@dataclass_transform(frozen_default=True)
+def component(cls: type[_Kind]) -> type[_Kind]:
+    """Make a class of components a frozen dataclass, and say on assignment how to change a component."""
+    made = dataclass(frozen=True)(cls)
+
+    def refuse(_: Component, key: str, value: object) -> None:
+        raise ComponentError(
+            cls.__name__, key, value, f"components do not change; use network.update(name, {key}=...)"
+        )
+
+    made.__setattr__ = refuse  # type: ignore[assignment,method-assign]
+    return made
 
 
 def plain_value(item: Field[Any], value: Any) -> Any:

@@ -7,11 +7,11 @@ network's ``base_mva``, and voltages are per unit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import ClassVar
 
 from opfmodel.errors import ComponentError
-from opfmodel.network.component import Component
+from opfmodel.network.component import Component, component
 from opfmodel.network.costs import Cost, Polynomial
 from opfmodel.network.fields import INF, at_bus, flag, number, span
 
@@ -20,7 +20,7 @@ __all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Shunt", "Storage"]
 _LEAST_IMPEDANCE = 1e-12  # p.u.; admittances are squared
 
 
-@dataclass(frozen=True)
+@component
 class Bus(Component):
     """A node of the grid.
 
@@ -43,7 +43,7 @@ class Bus(Component):
     in_service: bool = flag(True)
 
 
-@dataclass(frozen=True)
+@component
 class Branch(Component):
     """A line or transformer: the π model with an ideal transformer at the from end.
 
@@ -98,7 +98,7 @@ class Branch(Component):
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
 
 
-@dataclass(frozen=True)
+@component
 class Generator(Component):
     """A generating unit at a bus.
 
@@ -125,7 +125,7 @@ class Generator(Component):
     in_service: bool = flag(True)
 
 
-@dataclass(frozen=True)
+@component
 class Storage(Component):
     """A battery or other energy storage; positive power charges it.
 
@@ -198,7 +198,7 @@ class Storage(Component):
         )
 
 
-@dataclass(frozen=True)
+@component
 class Load(Component):
     """A demand at a bus; negative values are injections.
 
@@ -219,7 +219,7 @@ class Load(Component):
     in_service: bool = flag(True)
 
 
-@dataclass(frozen=True)
+@component
 class Shunt(Component):
     """A shunt at a bus, which draws ``g vm²`` active power and injects ``b vm²`` reactive power.
 

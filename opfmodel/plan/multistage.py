@@ -18,7 +18,6 @@ from opfmodel.errors import (
     ModelError,
     QuantityError,
     listed,
-    name_fault,
     shown,
 )
 from opfmodel.formulations.base import Formulation
@@ -33,10 +32,10 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
-from opfmodel.plan.parts import make_devices, make_formulation, publishing
-from opfmodel.plan.request import Initial, Request
+from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
+from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
-from opfmodel.plan.shortage import CEILING, Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
 from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
 from solvers.interrupt import interruptible
 
@@ -162,13 +161,20 @@ class MultiStage:
         self.verbose = verbose
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
-        self._rationed = False
+        self._rationed, self._parted = False, False
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _STATED and "_compiled" in self.__dict__:
             raise ModelError(f"{name}: the problem is already compiled; create another one")
         super().__setattr__(name, value)
+
+    def __repr__(self) -> str:
+        noun = "stage" if self.horizon == 1 else "stages"
+        return (
+            f"MultiStage({self.network.name!r}: {self.horizon} {noun} of {self.step:g} h, "
+            f"{self.formulation.name}, {type(self.objective).__name__})"
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -218,8 +224,6 @@ class MultiStage:
             raise ModelError(f"constraint {name!r}: the problem is already compiled; add constraints first")
         if name in self.constraints:
             raise ModelError(f"two constraints are named {name!r}")
-        if fault := name_fault(name):
-            raise ModelError(f"constraint {name!r}: the name {fault}")
         try:
             self.constraints[name] = CustomConstraint.of(name, constraint, at_least, at_most)
         except ConstraintError as error:
@@ -250,6 +254,7 @@ class MultiStage:
         objective: Objective | None = None,
         rationed: bool = False,
         horizon: int | None = None,
+        parted: bool = False,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
 
@@ -259,12 +264,14 @@ class MultiStage:
             Whether every solve limits the penalty.
         horizon
             Number of stages, if it differs.
+        parted
+            Whether active and reactive demand may be shed in different shares.
         """
         twin = copy(self)
-        for name in ("_compiled", "_objective_series", "shortage_problems"):
+        for name in ("_compiled", "_objective_series", "shortage_problems", "parted_problem"):
             vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
-        twin.elastic, twin._rationed = elastic, rationed
+        twin.elastic, twin._rationed, twin._parted = elastic, rationed, parted
         twin.horizon = self.horizon if horizon is None else horizon
         twin.objective = self.objective if objective is None else objective
         return twin
@@ -278,6 +285,11 @@ class MultiStage:
         """The problem of minimum penalty, and that of minimum cost at a given penalty."""
         least = self.variant(elastic=self.elastic, objective=Nothing(self.objective))
         return least, self.variant(elastic=self.elastic, rationed=True)
+
+    @cached_property
+    def parted_problem(self) -> MultiStage:
+        """The problem of minimum penalty in which active and reactive demand are shed independently."""
+        return self.variant(elastic=self.elastic, objective=Nothing(self.objective), parted=True)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -361,6 +373,8 @@ class MultiStage:
     def declare(self, stages: int | None = None) -> Model:
         """Return the declarations of formulation and devices, without objective and constraints; uncached.
 
+        A kind without components in service publishes its quantities, all empty, if the objective needs one.
+
         Parameters
         ----------
         stages
@@ -375,12 +389,20 @@ class MultiStage:
             zones=self.formulation.zones(self.arrays),
             series={*fields_with_series(self.profiles, self.arrays), *own},
             elastic=self.elastic,
+            parted=self._parted,
             regularisation=self.regularisation,
         )
         self.formulation.declare(model)
         for device in self.devices:
             model.connect(device)
+        if not self._published_by(model):
+            for device in absent_devices(self.arrays):
+                model.connect(device)
         return model
+
+    def _published_by(self, model: Model) -> bool:
+        """Whether a model publishes all quantities that the objective needs."""
+        return all(map(model.has, self.objective.needs))
 
     def compile(self) -> Program:
         """Return the program, compiled at the first call or solve."""
@@ -489,21 +511,22 @@ class MultiStage:
         """
         request = Request(time, initial, self.end if end is None else end, expected)
         plan = self.solve_once(request, previous, multipliers)
-        return without_outbidding(self, plan, request) if plan.shortages else plan
+        certain = self.elastic is None or (plan.optimal and not plan.short)
+        return plan if certain else without_outbidding(self, plan)
 
     def solve_once(
         self,
         request: Request,
         previous: Plan | None = None,
         multipliers: bool = True,
-        ceiling: float | None = None,
+        limits: Limits | None = None,
     ) -> Plan:
         """Solve the compiled problem once; an elastic one for the sum of cost and penalty.
 
         Parameters
         ----------
-        ceiling
-            Limit on the penalty of a rationed problem, p.u. h of the cheapest kind.
+        limits
+            Bounds of rows and variables, by block, in place of those of the request.
         """
         time, initial, end = request.time, request.initial, request.end
         integer("time", time, at_least=0)
@@ -540,13 +563,14 @@ class MultiStage:
             numbers.end_with(state.name, end)
         for constraint in self.constraints.values():
             if constraint.limited:
-                numbers.limit(constraint.rows, *constraint.window(time, self.horizon))
-        if ceiling is not None:
-            numbers.limit(CEILING, np.array([-np.inf]), np.array([ceiling]))
+                low, high = constraint.window(time, self.horizon)
+                numbers.limit(constraint.rows, low[None, :], high[None, :])
+        for name, (lower, upper) in (limits or {}).items():
+            numbers.limit(name, lower, upper)
         instance = numbers.instance()
         start = _start(previous, program, time, multipliers)
         solution = session.solve(instance, start)
-        return Plan(self, model, solution, network, time)
+        return Plan(self, model, solution, network, request)
 
 
 def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:

@@ -86,9 +86,9 @@ class Numbers:
             price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
             self.parameters[f"{name}_end_price"] = np.array([price])
 
-    def limit(self, rows: str, lower: Array, upper: Array) -> None:
-        """Set the limits of rows, one value per stage."""
-        self.lower[rows], self.upper[rows] = lower[None, :], upper[None, :]
+    def limit(self, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike) -> None:
+        """Set the bounds of a block; they broadcast to ``(items, stages)``."""
+        self.lower[name], self.upper[name] = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
 
     def instance(self) -> Instance:
         """Return the instance of the program."""

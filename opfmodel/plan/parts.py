@@ -12,7 +12,9 @@ from opfmodel.formulations.base import Formulation
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork
 
-__all__ = ["make_devices", "make_formulation", "publishing"]
+__all__ = ["absent_devices", "make_devices", "make_formulation", "publishing"]
+
+_WIRED = ("bus", "branch", "shunt")  # kinds that formulations declare
 
 
 def make_formulation(formulation: str | Formulation) -> Formulation:
@@ -28,7 +30,6 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
 
 def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
     """Return the devices of a network: one per kind that has components and takes part in the balance."""
-    wired = ("bus", "branch", "shunt")
     by_kind = {}
     for device in given:
         if not isinstance(device, Device):
@@ -37,7 +38,16 @@ def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[
     return [
         by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
         for kind, table in network.tables.items()
-        if kind not in wired and len(table)
+        if kind not in _WIRED and len(table)
+    ]
+
+
+def absent_devices(network: PerUnitNetwork) -> list[Device]:
+    """Return the devices of the known kinds without components in service; their quantities are empty."""
+    return [
+        plugins.load("device", kind)()
+        for kind, table in network.tables.items()
+        if kind not in _WIRED and not len(table) and kind in plugins.plugins("device")
     ]
 
 

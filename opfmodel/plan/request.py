@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from opfmodel.plan.end import End
 
-__all__ = ["Initial", "Request"]
+__all__ = ["Initial", "Limits", "Request"]
 
 Initial = Mapping[str, "npt.ArrayLike | None"]
+Limits = Mapping[str, tuple["npt.ArrayLike", "npt.ArrayLike"]]
 
 
 @dataclass(frozen=True)

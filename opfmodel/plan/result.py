@@ -11,9 +11,11 @@ import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.model import Model, NumericStage, Shortage
-from opfmodel.model.elastic import shortages
+from opfmodel.model.elastic import LEAST, shortages
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.units import scale
+from opfmodel.plan.diagnosis import shortfall_due
+from opfmodel.plan.request import Request
 from solvers import Solution, SolutionStatus
 
 if TYPE_CHECKING:
@@ -38,10 +40,8 @@ class Plan:
         The declarations, and the arrays of the network with the series of the window.
     solution
         The certified solution of the program.
-    least
-        The minimum-penalty solution of an elastic problem, whatever its cost.
-    time
-        First step of the plan.
+    request
+        What was asked for.
     """
 
     def __init__(
@@ -50,19 +50,22 @@ class Plan:
         model: Model,
         solution: Solution,
         network: PerUnitNetwork,
-        time: int,
-        least: Solution | None = None,
+        request: Request,
     ) -> None:
         self.problem = problem
-        self.least = solution if least is None else least
         self.solution = solution
-        self.time = time
+        self.request = request
         self.model = model
         self.network = network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} $" if self.optimal else ""
         return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
+
+    @property
+    def time(self) -> int:
+        """First step of the plan."""
+        return self.request.time
 
     @property
     def status(self) -> str:
@@ -128,14 +131,24 @@ class Plan:
             if slack.kind in network.tables and name not in self.model.reported
         }
 
+    @property
+    def short(self) -> bool:
+        """Whether an elastic plan has a shortfall."""
+        slacks = self.model.slacks if self.optimal else ()
+        return any(np.abs(self.solution.value(name)).max(initial=0.0) > LEAST for name in slacks)
+
     @cached_property
     def shortages(self) -> tuple[Shortage, ...]:
-        """Shortfalls of an elastic plan, the most expensive first; empty if every limit is hard."""
+        """Shortfalls of an elastic plan, the most expensive first; empty if every limit is hard.
+
+        With the reported amounts added, the problem has a solution. Load that is shed only because it
+        shares a load with power that is lacking is not reported; to find it, one more problem is solved.
+        """
         prices = self.problem.elastic
-        if prices is None or not self.optimal:
+        if prices is None or not self.short:
             return ()
         slacks, step = self.model.slacks.values(), self.problem.step
-        return shortages(slacks, self.solution, self.least, self.network, prices, step, self.times)
+        return shortages(slacks, shortfall_due(self), self.network, prices, step, self.times)
 
     @property
     def penalty(self) -> float:

@@ -12,16 +12,14 @@ import numpy.typing as npt
 from opfmodel.model import Model, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
-from opfmodel.plan.request import Request
 from opfmodel.plan.result import Plan
-from solvers import Solution
 
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["CEILING", "Nothing", "limit_shortage", "without_outbidding"]
+__all__ = ["Nothing", "limit_shortage", "without_outbidding"]
 
-CEILING = "shortage"  # name of the row that limits the penalty
+_CEILING = "shortage"  # name of the row that limits the penalty
 
 # Both are relative and, in p.u. h, absolute: the tolerance within which two penalties are equal, and the
 # margin that a limit on the penalty leaves to the solver, which must exceed the solver's tolerance.
@@ -34,11 +32,12 @@ class Nothing(Objective):
     Parameters
     ----------
     objective
-        The objective that it replaces; the network keeps its series.
+        The objective that it replaces; the problem keeps its series and quantities.
     """
 
     def __init__(self, objective: Objective) -> None:
         self.objective = objective
+        self.needs = objective.needs
 
     def series(self, network: PerUnitNetwork) -> Mapping[tuple[str, str], npt.NDArray[np.float64]]:
         """Return the series of the objective."""
@@ -51,34 +50,35 @@ class Nothing(Objective):
 
 def limit_shortage(model: Model) -> None:
     """Add a row with the penalty of all stages, in p.u. h of the cheapest kind; free until limited."""
-    rows = model.build.rows(CEILING, 1, 1, -np.inf, np.inf)
+    rows = model.build.rows(_CEILING, 1, 1, -np.inf, np.inf)
     for cost in model.penalties:
         model.build.add(cost / _unit(model), into=rows)
 
 
-def without_outbidding(problem: MultiStage, plan: Plan, request: Request) -> Plan:
+def without_outbidding(problem: MultiStage, plan: Plan) -> Plan:
     """Return the cheapest of the plans with the minimum penalty.
 
     Parameters
     ----------
     plan
         The plan with the minimum sum of cost and penalty. It is the result unless some cost exceeds the
-        price of a shortfall, which was then accepted to save that cost.
+        price of a shortfall, which was then accepted to save that cost, or the solver failed. Costs far
+        above the prices can make it fail, which says nothing of the problems solved here.
     """
     least_shortage, rationed = problem.shortage_problems
-    least = least_shortage.solve_once(request)
+    least = least_shortage.solve_once(plan.request)
     if not least.optimal:
         note = f"the minimum shortfall is not known: {least.termination}"
-        return _with_effort(problem, plan, [least], plan.solution, note)
+        return _with_effort(problem, plan, [least], note)
     unit = _unit(plan.model)
-    if plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
-        return _with_effort(problem, plan, [least], least.solution)
+    if plan.optimal and plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
+        return _with_effort(problem, plan, [least])
     ceiling = (1.0 + _SLACK) * least.penalty / unit + _SLACK
-    cheapest = rationed.solve_once(request, ceiling=ceiling)
+    cheapest = rationed.solve_once(plan.request, limits={_CEILING: (-np.inf, ceiling)})
     if not cheapest.optimal:
         note = f"the cheapest plan with this shortfall was not found: {cheapest.termination}"
-        return _with_effort(problem, least, [plan, cheapest], least.solution, note)
-    return _with_effort(problem, cheapest, [plan, least], least.solution)
+        return _with_effort(problem, least, [plan, cheapest], note)
+    return _with_effort(problem, cheapest, [plan, least])
 
 
 def _unit(model: Model) -> float:
@@ -88,9 +88,7 @@ def _unit(model: Model) -> float:
     return min(prices) * model.network.base_mva
 
 
-def _with_effort(
-    problem: MultiStage, plan: Plan, others: list[Plan], least: Solution, note: str = ""
-) -> Plan:
+def _with_effort(problem: MultiStage, plan: Plan, others: list[Plan], note: str = "") -> Plan:
     """Return a plan with the effort of other solves added to its own, and a note in its message."""
     solutions = [p.solution for p in (plan, *others)]
     counted = [s.iterations for s in solutions if s.iterations is not None]
@@ -100,4 +98,4 @@ def _with_effort(
         seconds=sum(s.seconds for s in solutions),
         message="; ".join(text for text in (plan.solution.message, note) if text),
     )
-    return Plan(problem, plan.model, solution, plan.network, plan.time, least)
+    return Plan(problem, plan.model, solution, plan.network, plan.request)

@@ -141,7 +141,11 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             solver=problem.solver,
             options=problem.options,
         )
-        carried = [state for state in alone.model.states.values() if state.role == "stock"]
+        carried = [
+            state
+            for state in alone.model.states.values()
+            if state.role == "stock" and len(alone.arrays.tables[state.kind])
+        ]
         if stages > 1 and carried:
             raise IncompatibleError(
                 f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "

@@ -112,13 +112,15 @@ def check_constraints(
         return
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
     with document.located("controller"):
-        stage: Any = PhysicalStage(bare.declare(stages=1))
+        model = bare.declare(stages=1)
+    stage: Any = PhysicalStage(model)
     unpublished: dict[tuple[str, ...], ModelError] = {}
     for name, constraint in constraints.items():
         missing: dict[tuple[str, ...], ModelError] = {}
         with document.located("constraints", name):
             linear = constraint.state
             assert isinstance(linear, Linear)
+            constraint.check_price(model)
             for key in linear.terms:
                 try:
                     linear.term(stage, key)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError, listed
+from opfmodel.errors import ModelError, ProfileError, listed, shown
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite, window
@@ -75,7 +75,12 @@ class Controller:
         if on_infeasible not in get_args(OnInfeasible):
             raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
         if not isinstance(problem, MultiStage):
-            raise ModelError(f"problem = {problem!r}: must be a MultiStage")
+            raise ModelError(f"problem = {shown(problem)}: must be a MultiStage")
+        for name, value, kind in (("forecast", forecast, Forecast), ("elastic", elastic, Elastic)):
+            if not (value is None or isinstance(value, kind)):
+                raise ModelError(
+                    f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
+                )
         self.problem = problem
         self.forecast = forecast
         self.on_infeasible = on_infeasible

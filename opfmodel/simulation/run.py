@@ -80,7 +80,7 @@ class Run:
             key: np.column_stack([step.values.get(key, zero) for step in self.steps])
             for key, zero in absent.items()
         }
-        return NumericStage(network, self.problem.step, values, self.problem.devices)
+        return NumericStage(network, self.problem.step, values, self.problem.model.devices)
 
     @property
     def previous_pg(self) -> dict[str, float] | None:

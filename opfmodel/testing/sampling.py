@@ -24,7 +24,7 @@ def at_random(plan: Plan, rng: np.random.Generator) -> Plan:
     solution = replace(plan.solution, x=rng.uniform(low, high))
     for epigraph in solution.program.epigraphs:
         solution = _raised(solution, epigraph)
-    return Plan(plan.problem, plan.problem.model, solution, plan.stage.network, plan.time)
+    return Plan(plan.problem, plan.problem.model, solution, plan.stage.network, plan.request)
 
 
 def _raised(solution: Solution, epigraph: Epigraph) -> Solution:

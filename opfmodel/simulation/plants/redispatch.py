@@ -60,5 +60,6 @@ class Redispatch(ACPlant):
         base = network.base_mva
         before = None if self._before is None else self._before * base
         dispatch = {"pg": before, "qg": None} if len(network.generator) else {}
-        initial = {**dispatch, **plan.stocks()}
+        stocks = {name: values for name, values in plan.stocks().items() if values.size}
+        initial = {**dispatch, **stocks}
         return self.solve(plan.time, initial, self._set_points.targets(network, aims))

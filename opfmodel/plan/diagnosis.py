@@ -1,0 +1,33 @@
+"""The shortfalls behind an elastic plan: what is lacking, apart from what is shed along with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from opfmodel.model.elastic import LEAST
+from solvers import Solution
+
+if TYPE_CHECKING:
+    from opfmodel.plan.result import Plan
+
+__all__ = ["shortfall_due"]
+
+
+def shortfall_due(plan: Plan) -> Solution:
+    """Return the minimum shortfall of a plan if active and reactive demand need not be shed alike.
+
+    A plan sheds the same share of both, also where only one is lacking. Here the shares are independent, and
+    only loads that the plan sheds may be shed. Whoever adds the amounts makes the hard problem feasible. If
+    the solver fails, the solution of the plan is returned, of which the same is true.
+    """
+    shares = plan.model.shares
+    if not (shares and plan.model.reactive):
+        return plan.solution
+    most = np.where(plan.solution.value(shares[0]) > LEAST, 1.0, 0.0)
+    if not most.any():
+        return plan.solution
+    problem = plan.problem.parted_problem
+    found = problem.solve_once(plan.request, limits=dict.fromkeys(problem.model.shares, (0.0, most)))
+    return found.solution if found.optimal else plan.solution
