@@ -79,9 +79,10 @@ class Report:
     violations
         Largest violation of each family of constraints, including zero violations.
     unserved
-        Largest unserved power of a load, active and reactive, if the data have any. To shed load is a
-        decision, which violates no limit and is metered as energy; an excess over the demand is a violation.
-        So is power from no source (``p_shortage`` and the like), since the balance does not hold without it.
+        Largest unserved active and reactive power of a load, if the data contain any. Load shedding
+        violates no limit and is measured as energy. Unserved power outside zero to the demand is a
+        violation, and so is power without a source (``p_shortage`` and the like), without which the
+        balance does not hold.
     cost
         Recomputed operating cost over all stages, $.
     unchecked
@@ -99,7 +100,7 @@ class Report:
 
     @property
     def max_violation(self) -> float:
-        """Largest violation of all families; unserved power is none."""
+        """Largest violation of all families, without unserved power."""
         return max((v.value for v in self.violations.values()), default=0.0)
 
     @property

@@ -355,7 +355,20 @@ def test_a_store_cannot_lose_more_than_it_has() -> None:
         om.MultiStage(grid, 2, step=2.0).solve()
 
 
-@pytest.mark.parametrize("formulation", ["dc", "dc-losses", "dc-matpower"])
+def test_a_branch_without_reactance_is_open_in_a_dc_flow_and_noted() -> None:
+    grid = two_bus()
+    grid.spare = om.Branch("north", "south", r=0.02, x=0.0)
+    made = om.MultiStage(grid, formulation="dc")
+    assert any("reactance" in note and "spare" in note for note in made.notes)
+    assert float(np.abs(made.solve().data["pf"].sel(branch="spare")).max()) < 1e-9
+    grid.remove("spare")
+    alone = om.MultiStage(grid, formulation="dc")
+    assert made.solve().objective == pytest.approx(alone.solve().objective, rel=1e-6)
+    assert not any("reactance" in note for note in alone.notes)
+    assert not any("reactance" in note for note in om.MultiStage(grid, formulation="ac").notes)
+
+
+@pytest.mark.parametrize("formulation", ["dc-losses", "dc-matpower"])
 def test_a_branch_without_reactance_is_named_with_formulations_that_accept_it(formulation: str) -> None:
     grid = two_bus()
     grid.update("tie", x=0.0)

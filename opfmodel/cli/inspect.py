@@ -29,7 +29,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
             return _validate_study(file, json_)
         loaded = read_scenario(document, variant, set_)
         rehearse(loaded)
-        network = loaded.network
+        network, notes = loaded.network, loaded.problem.notes
         for name in loaded.settings.variants if variant is None else ():
             try:
                 rehearse(read_scenario(document, name, set_))
@@ -37,12 +37,12 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
                 raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
         network = read_network_file(file, default_cost=0.0)
-    arrays = per_unit(network)
+        notes = per_unit(network).notes
     if json_:
         counts = {kind.plural: len(network.of(kind)) for kind in network.kinds()}
-        print_json({"valid": True, **counts, "islands": arrays.n_islands, "notes": list(arrays.notes)})
+        print_json({"valid": True, **counts, "islands": per_unit(network).n_islands, "notes": list(notes)})
     else:
-        print_notes(arrays.notes)
+        print_notes(notes)
         print_line(f"{file}: valid; {network!r}")
     return 0
 

@@ -16,8 +16,8 @@ class LoadDevice(Device):
     r"""Fixed demand ``p + jq``, a parameter of every solve.
 
     In an elastic problem a share of each load may be left unserved, active and reactive alike, at the
-    shedding price times its apparent power. The diagnosis parts the two shares, each of which bears half
-    the price, and so tells apart what a bus lacks of active and of reactive power.
+    shedding price times its apparent power. The diagnosis separates the two shares, each at half the price,
+    to find how much active and how much reactive power a bus lacks.
     """
 
     component = Load
@@ -42,11 +42,11 @@ class LoadDevice(Device):
         if not model.reactive:
             model.penalise(price * np.sqrt(p**2) * share)
             return
-        share_q = model.share("load", "unserved_q") if model.parted else share
+        share_q = model.share("load", "unserved_q") if model.split_shedding else share
         reactive = q * share_q
         model.inject(table.bus, q=reactive)
         soft_q = model.soft_balance(table.bus, "MVAr", "shedding")
         model.slacks["q_unserved"] = Slack("q_unserved", "bus", soft_q, Side.BELOW)
         model.report("load", "q_unserved", reactive, unit="MVAr", description="unserved reactive demand")
-        mean = 0.5 * (share + share_q) if model.parted else share
+        mean = 0.5 * (share + share_q) if model.split_shedding else share
         model.penalise(price * np.sqrt(p**2 + q**2) * mean)

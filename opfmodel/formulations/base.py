@@ -21,7 +21,8 @@ __all__ = [
     "limit_products",
     "price_rating",
     "publish_flows",
-    "reactance",
+    "refuse_resistive",
+    "resistive",
     "shunts",
     "soft_rating",
     "soft_voltage",
@@ -52,6 +53,10 @@ class Formulation:
         """Return the balance row of each bus; by default one per bus."""
         return np.arange(len(network.bus))
 
+    def notes(self, network: PerUnitNetwork) -> tuple[str, ...]:  # noqa: ARG002
+        """Return what users should know of this formulation of their network; by default nothing."""
+        return ()
+
     def declare(self, model: Model) -> None:
         """Declare the variables of the network, add branch flows to the balance, and set the limits."""
         raise NotImplementedError
@@ -69,23 +74,18 @@ def angles(model: Model) -> Expression:
     return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
 
 
-def reactance(network: PerUnitNetwork, formulation: str) -> Array:
-    """Return the reactances of the branches, for formulations in which they alone carry the flow.
+def resistive(network: PerUnitNetwork) -> list[str]:
+    """Return the names of the branches without reactance, which a DC flow cannot represent."""
+    return [network.branch.names[i] for i in np.flatnonzero(network.branch.x == 0.0)]
 
-    Raises
-    ------
-    IncompatibleError
-        A branch has none, and would be open in such a formulation.
-    """
-    branch = network.branch
-    without = np.flatnonzero(branch.x == 0.0)
-    if without.size:
+
+def refuse_resistive(network: PerUnitNetwork, formulation: str) -> None:
+    """Raise :class:`IncompatibleError` if a branch has no reactance."""
+    if names := resistive(network):
         raise IncompatibleError(
-            f"{branch.names[without[0]]}: x = 0: formulation {formulation!r} needs the reactance of every "
-            "branch; 'ac', 'ac-rectangular', 'soc' and 'copperplate' do not"
+            f"{names[0]}: x = 0: formulation {formulation!r} needs the reactance of every branch; 'ac', "
+            "'ac-rectangular', 'soc' and 'copperplate' do not, and 'dc' leaves the branch open"
         )
-    x: Array = branch.x
-    return x
 
 
 def shunts(model: Model, vm_squared: Expression | float) -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from opfmodel.errors import listed
 from opfmodel.formulations.base import (
     Formulation,
     angles,
     limit_angle,
     limit_flows,
     publish_flows,
-    reactance,
+    refuse_resistive,
+    resistive,
     shunts,
 )
 from opfmodel.model import Model
@@ -35,9 +37,13 @@ class DC(Formulation):
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
-        x = reactance(network, self.name)
-        susceptance: Array = x / (branch.r**2 + x**2)
+        susceptance: Array = branch.x / (branch.r**2 + branch.x**2)
         return angle * susceptance
+
+    def notes(self, network: PerUnitNetwork) -> tuple[str, ...]:
+        """Return which branches carry no flow."""
+        names = resistive(network)
+        return (f"branches without reactance carry no flow: {listed(names)}",) if names else ()
 
     def declare(self, model: Model) -> None:
         """Declare ``va`` and the branch flows."""
@@ -68,6 +74,7 @@ class DCMatpower(DC):
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""
         branch = network.branch
-        susceptance: Array = 1.0 / (reactance(network, self.name) * branch.tap)
+        refuse_resistive(network, self.name)
+        susceptance: Array = 1.0 / (branch.x * branch.tap)
         shifted: Expression = angle - branch.shift
         return shifted * susceptance

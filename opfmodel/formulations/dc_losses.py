@@ -10,7 +10,7 @@ from opfmodel.formulations.base import (
     limit_angle,
     limit_flows,
     publish_flows,
-    reactance,
+    refuse_resistive,
     shunts,
 )
 from opfmodel.model import Model
@@ -41,12 +41,12 @@ class DCLosses(Formulation):
     def declare(self, model: Model) -> None:
         """Declare ``va``, the losses and the branch flows."""
         branch = model.network.branch
+        refuse_resistive(model.network, self.name)
         va = angles(model)
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
-        x = reactance(model.network, self.name)
-        impedance = branch.r**2 + x**2
-        flow = x / impedance * angle
+        impedance = branch.r**2 + branch.x**2
+        flow = branch.x / impedance * angle
         conductance = branch.r / impedance
         lossy = np.flatnonzero(conductance > 0)
         upper = np.where(conductance > 0, np.inf, 0.0)

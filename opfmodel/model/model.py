@@ -57,7 +57,7 @@ class Model:
         ``(kind, field)`` pairs that have time series.
     elastic
         Penalty prices of soft limits; None keeps every limit hard.
-    parted
+    split_shedding
         Whether different shares of active and reactive demand may be unserved, to diagnose a shortage.
     regularisation
         Weight in $/(h p.u.²) of the squares of regularised quantities.
@@ -84,7 +84,7 @@ class Model:
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
         elastic: Elastic | None = None,
-        parted: bool = False,
+        split_shedding: bool = False,
         regularisation: float = 0.0,
     ) -> None:
         self.network = network
@@ -92,7 +92,7 @@ class Model:
         self.elastic = elastic
         self.slacks: dict[str, Slack] = {}
         self.shares: list[str] = []
-        self.parted = parted
+        self.split_shedding = split_shedding
         self.penalties: list[Expression] = []
         self.stages = stages
         self.step = step

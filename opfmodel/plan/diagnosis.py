@@ -1,4 +1,4 @@
-"""The shortfalls behind an elastic plan: what is lacking, apart from what is shed along with it."""
+"""The shortfalls behind an elastic plan, without the power that is shed along with them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ __all__ = ["shortfall_due"]
 
 
 def shortfall_due(plan: Plan) -> Solution:
-    """Return the minimum shortfall of a plan if active and reactive demand need not be shed alike.
+    """Return the minimum shortfall of a plan if active and reactive demand can be shed independently.
 
-    A plan sheds the same share of both, also where only one is lacking. Here the shares are independent, and
-    only loads that the plan sheds may be shed. Whoever adds the amounts makes the hard problem feasible. If
-    the solver fails, the solution of the plan is returned, of which the same is true.
+    A plan sheds the same share of both, even where only one is lacking. Here the shares are independent, and
+    only loads that the plan sheds can be shed. With the resulting amounts added, the hard problem is
+    feasible. If the solver fails, the solution of the plan is returned, for which this also holds.
     """
     shares = plan.model.shares
     if not (shares and plan.model.reactive):
@@ -28,6 +28,6 @@ def shortfall_due(plan: Plan) -> Solution:
     most = np.where(plan.solution.value(shares[0]) > LEAST, 1.0, 0.0)
     if not most.any():
         return plan.solution
-    problem = plan.problem.parted_problem
+    problem = plan.problem.split_shedding_problem
     found = problem.solve_once(plan.request, limits=dict.fromkeys(problem.model.shares, (0.0, most)))
     return found.solution if found.optimal else plan.solution

@@ -161,7 +161,7 @@ class MultiStage:
         self.verbose = verbose
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
-        self._rationed, self._parted = False, False
+        self._rationed, self._split_shedding = False, False
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -178,8 +178,8 @@ class MultiStage:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the network: components left out, and choices made for it."""
-        return self.arrays.notes
+        """Notes on the network and its formulation: components left out, and choices made for it."""
+        return (*self.arrays.notes, *self.formulation.notes(self.arrays))
 
     def constrain(
         self,
@@ -254,7 +254,7 @@ class MultiStage:
         objective: Objective | None = None,
         rationed: bool = False,
         horizon: int | None = None,
-        parted: bool = False,
+        split_shedding: bool = False,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
 
@@ -264,14 +264,14 @@ class MultiStage:
             Whether every solve limits the penalty.
         horizon
             Number of stages, if it differs.
-        parted
+        split_shedding
             Whether active and reactive demand may be shed in different shares.
         """
         twin = copy(self)
-        for name in ("_compiled", "_objective_series", "shortage_problems", "parted_problem"):
+        for name in ("_compiled", "_objective_series", "shortage_problems", "split_shedding_problem"):
             vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
-        twin.elastic, twin._rationed, twin._parted = elastic, rationed, parted
+        twin.elastic, twin._rationed, twin._split_shedding = elastic, rationed, split_shedding
         twin.horizon = self.horizon if horizon is None else horizon
         twin.objective = self.objective if objective is None else objective
         return twin
@@ -287,9 +287,9 @@ class MultiStage:
         return least, self.variant(elastic=self.elastic, rationed=True)
 
     @cached_property
-    def parted_problem(self) -> MultiStage:
+    def split_shedding_problem(self) -> MultiStage:
         """The problem of minimum penalty in which active and reactive demand are shed independently."""
-        return self.variant(elastic=self.elastic, objective=Nothing(self.objective), parted=True)
+        return self.variant(elastic=self.elastic, objective=Nothing(self.objective), split_shedding=True)
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -389,7 +389,7 @@ class MultiStage:
             zones=self.formulation.zones(self.arrays),
             series={*fields_with_series(self.profiles, self.arrays), *own},
             elastic=self.elastic,
-            parted=self._parted,
+            split_shedding=self._split_shedding,
             regularisation=self.regularisation,
         )
         self.formulation.declare(model)
