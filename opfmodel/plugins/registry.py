@@ -101,15 +101,22 @@ def hidden(sort: str) -> list[tuple[Plugin, Plugin]]:
 def _every(sort: str) -> tuple[Plugin, ...]:
     """All plugins of a sort, first those of this package, then by origin."""
     found = []
-    for point in entry_points(group=GROUPS[sort]):
+    for point in _installed().select(group=GROUPS[sort]):
         origin = point.dist.name if point.dist is not None else "unknown"
         found.append(Plugin(sort, point.name, origin, point))
     return tuple(sorted(found, key=lambda plugin: (plugin.origin != "opfmodel", plugin.origin)))
 
 
+@cache
+def _installed() -> Any:
+    """All entry points, read once: finding those of one group reads every distribution, too."""
+    return entry_points()
+
+
 def rescan() -> None:
     """Discard the cached plugins, to find those installed since."""
     _every.cache_clear()
+    _installed.cache_clear()
 
 
 def load(sort: str, name: str) -> Any:
