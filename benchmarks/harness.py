@@ -84,12 +84,14 @@ def _child(send: Any, function: Callable[..., dict[str, Any]], args: tuple[Any, 
 
 
 def median(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Median of every number over several runs of one measurement."""
+    """Median of every number over several runs of one measurement; what a run lacks is None."""
     if any("error" in run for run in runs):
         return next(run for run in runs if "error" in run)
     first = runs[0]
     return {
-        key: statistics.median(run[key] for run in runs) if isinstance(value, int | float) else value
+        key: statistics.median([run[key] for run in runs if run[key] is not None])
+        if isinstance(value, int | float)
+        else value
         for key, value in first.items()
     }
 
