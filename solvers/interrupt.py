@@ -9,6 +9,10 @@ import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 __all__ = ["interruptible"]
 
@@ -23,15 +27,31 @@ class _Watch:
         self.pressed = True
         signal.default_int_handler(signum, frame)
 
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Handle Ctrl-C inside the block, and do not report what Python ignores of it in destructors."""
+
+        def report(unraisable: UnraisableHookArgs) -> None:
+            if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+                hook(unraisable)
+
+        before, hook = signal.signal(signal.SIGINT, self), sys.unraisablehook
+        sys.unraisablehook = report
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+            sys.unraisablehook = hook
+
 
 @contextlib.contextmanager
 def interruptible(*, quiet: bool = False) -> Iterator[None]:
     """Raise ``KeyboardInterrupt`` on exit if Ctrl-C was pressed inside the block.
 
     CasADi loses the interrupt where it calls Python to convert an argument, and turns it into a
-    failed solve, or an error of another type, elsewhere. Blocks may be nested; every one restores
-    the interrupt. They have no effect outside the main thread, which alone receives signals, or
-    under a custom handler.
+    failed solve, or an error of another type, elsewhere. Python loses it in destructors and callbacks.
+    Blocks may be nested; every one restores the interrupt, the innermost first. They have no effect
+    outside the main thread, which alone receives signals, or under a custom handler.
 
     Parameters
     ----------
@@ -47,18 +67,17 @@ def interruptible(*, quiet: bool = False) -> Iterator[None]:
         return
     watch = before if isinstance(before, _Watch) else _Watch()
     captured = io.StringIO()
-    if not nested:
-        signal.signal(signal.SIGINT, watch)
     try:
-        with contextlib.redirect_stderr(captured) if quiet else contextlib.nullcontext():
+        with (
+            contextlib.nullcontext() if nested else watch.installed(),
+            contextlib.redirect_stderr(captured) if quiet else contextlib.nullcontext(),
+        ):
             yield
     except Exception as error:
         if watch.pressed:
             raise KeyboardInterrupt from error
         raise
     finally:
-        if not nested:
-            signal.signal(signal.SIGINT, before)
         if not watch.pressed:
             sys.stderr.write(captured.getvalue())
     if watch.pressed:

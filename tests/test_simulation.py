@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from pathlib import Path
 
 import casadi as ca
@@ -170,6 +171,25 @@ def test_an_interrupt_is_not_lost_while_a_plant_responds(monkeypatch: pytest.Mon
     monkeypatch.setattr(om.NominalPlant, "apply", pressed)
     run = om.simulate(problem(3), steps=5)
     assert (run.status, run.termination) == ("stopped", "interrupted after 1 steps")
+
+
+def test_an_interrupt_is_not_lost_in_a_destructor(capsys: pytest.CaptureFixture[str]) -> None:
+    class Dying:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    made = problem(3)
+
+    def rule(stage: om.Stage) -> object:
+        Dying()
+        return om.total(stage.generator.pg) >= 0
+
+    made.constrain("rule", rule)
+    hook = sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt):
+        made.solve()
+    assert sys.unraisablehook is hook
+    assert capsys.readouterr().err == ""
 
 
 def test_series_that_are_too_short_are_said_before_anything_is_solved() -> None:

@@ -1302,7 +1302,10 @@ def test_workers_that_die_whenever_they_start_end_the_study(folder: Path) -> Non
 @pytest.mark.parametrize("seconds", [0.0, 2.0])
 def test_ctrl_c_while_the_workers_start_leaves_nothing(seconds: float, folder: Path) -> None:
     (folder / "tmp").mkdir()
-    run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 2, "--json")
+    (folder / "long.yaml").write_text(  # longer than the workers take to start
+        f"scenario: {CASE5}\nvary: {{controller.regularisation: [1, 2, 3, 4, 5, 6, 7, 8]}}\n"
+    )
+    run = ("run", folder / "long.yaml", "--out", folder / "out", "--workers", 2, "--json")
     process = start(*run, env={**os.environ, "TMPDIR": str(folder / "tmp")})
     while not (workers := spawned(process.pid)):
         assert process.poll() is None

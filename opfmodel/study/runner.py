@@ -19,6 +19,7 @@ from opfmodel.study.provenance import machine, revision, versions
 from opfmodel.study.specification import Snapshot, Specification
 from opfmodel.study.store import Store, untrusted
 from opfmodel.study.workers import check_crew, in_this_process, on_cluster, on_local_cluster
+from solvers.interrupt import interruptible
 
 __all__ = ["Outcome", "run_study"]
 
@@ -130,10 +131,11 @@ def run_study(
         shown = live(study.name, len(missing)) if progress and missing else nullcontext(Watcher())
         with shown as watcher, closing(_crew(missing, watcher, workers, scheduler, memory)) as records:
             try:
-                for record in records:
-                    made.add(record.key)  # first, since Ctrl-C may arrive between the two
-                    store.write(record)
-                    watcher.finished()
+                with interruptible():
+                    for record in records:
+                        made.add(record.key)  # first, since Ctrl-C may arrive between the two
+                        store.write(record)
+                        watcher.finished()
             except KeyboardInterrupt:
                 interrupted = True
             except StudyError:

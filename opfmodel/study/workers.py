@@ -21,6 +21,7 @@ from opfmodel.errors import StudyError
 from opfmodel.study.execution import Record, execute, failure
 from opfmodel.study.progress import Watcher
 from opfmodel.study.specification import Specification
+from solvers.interrupt import interruptible
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -53,7 +54,9 @@ def in_this_process(specifications: Sequence[Specification], watcher: Watcher) -
     """Execute the runs one after another."""
     for specification in specifications:
         watcher.running({"this process": specification})
-        yield execute(specification)
+        with interruptible():
+            record = execute(specification)
+        yield record
 
 
 def on_local_cluster(
@@ -141,7 +144,8 @@ def _runs(
                 specification = waiting.popleft()
                 name = f"opfmodel-{specification.key}-{uuid4().hex[:8]}"
                 running[client.submit(execute, specification, key=name, pure=False)] = specification
-            work = _work(client, running)
+            with interruptible():  # at every glance, so that no Ctrl-C is lost in a callback
+                work = _work(client, running)
             watcher.running(work)
             if work:
                 seen = time.monotonic()
