@@ -17,7 +17,7 @@ from opfmodel.errors import OpfmodelError
 __all__ = ["app", "main"]
 
 app = typer.Typer(
-    help="Multi-stage AC optimal power flow with storage, in receding horizon.",
+    help="Multi-stage AC optimal power flow with storage, in a receding horizon.",
     invoke_without_command=True,
     add_completion=False,
     pretty_exceptions_enable=False,
