@@ -15,7 +15,7 @@ run: .venv/.run
 test: .venv/.test
 	$(BIN)/python -m pytest -q -m "not slow"
 
-test-slow: .venv/.test
+test-slow: .venv/.slow
 	$(BIN)/python -m pytest -q -m slow
 
 check: .venv/.check
@@ -49,6 +49,10 @@ clean:
 
 .venv/.test: .venv/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+.venv/.slow: .venv/.test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[slow]'
 	touch $@
 
 .venv/.bench: .venv/.run

@@ -268,8 +268,9 @@ class MultiStage:
             Whether active and reactive demand may be shed in different shares.
         """
         twin = copy(self)
-        for name in ("_compiled", "_objective_series", "shortage_problems", "split_shedding_problem"):
-            vars(twin).pop(name, None)
+        for name, member in vars(MultiStage).items():
+            if isinstance(member, cached_property):
+                vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
         twin.elastic, twin._rationed, twin._split_shedding = elastic, rationed, split_shedding
         twin.horizon = self.horizon if horizon is None else horizon
