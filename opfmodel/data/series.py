@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Calendar
 from opfmodel.errors import ProfileError
 
 __all__ = ["Profiles", "SeriesKey"]
@@ -58,6 +59,8 @@ class Profiles(Mapping[SeriesKey, Array]):
     series
         Values by component and field (``p`` of a load, ``p_max`` or ``c1`` of a generator, ``rating`` of
         a branch).
+    calendar
+        Time stamps of the steps; None if the steps are only numbered.
 
     Raises
     ------
@@ -71,7 +74,10 @@ class Profiles(Mapping[SeriesKey, Array]):
     (3, [90.0, 95.0, 120.0])
     """
 
-    def __init__(self, series: Mapping[Any, npt.ArrayLike] | None = None) -> None:
+    def __init__(
+        self, series: Mapping[Any, npt.ArrayLike] | None = None, calendar: Calendar | None = None
+    ) -> None:
+        self.calendar = calendar
         self._series = {
             named: _vector(named, values)
             for named, values in ((SeriesKey.of(key), values) for key, values in (series or {}).items())

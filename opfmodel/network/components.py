@@ -112,6 +112,12 @@ class Generator(Component):
         Maximum change of active power, MW/h; None for no limit.
     cost
         :class:`Polynomial` or :class:`PiecewiseLinear`.
+    pg_set, qg_set
+        Set-points of active and reactive power in a power flow, MW and MVAr; None for 0, within the limits.
+    vm_set
+        Set-point of the voltage at its bus in a power flow, p.u.; None for 1, within the limits of the bus.
+    regulates
+        Whether the generator holds ``vm_set`` in a power flow; otherwise it injects ``qg_set``.
     """
 
     kind: ClassVar[str] = "generator"
@@ -122,6 +128,10 @@ class Generator(Component):
     q: tuple[float, float] = span("MVAr", (-INF, INF))
     ramp: float | None = number("MW/h", None, at_least=0.0, optional=True, finite=False)
     cost: Cost = field(default=Polynomial(), metadata={"form": "cost", "unit": ""})
+    pg_set: float | None = number("MW", None, optional=True, series=False)
+    qg_set: float | None = number("MVAr", None, optional=True, series=False)
+    vm_set: float | None = number("p.u.", None, above=0.0, optional=True, series=False)
+    regulates: bool = flag(True)
     in_service: bool = flag(True)
 
 
@@ -152,6 +162,8 @@ class Storage(Component):
     exclusive
         Forbid simultaneous charging and discharging, relevant only with losses and negative
         prices. Makes the problem non-convex, so it requires a nonlinear solver.
+    ps_set, qs_set
+        Charging power and reactive power drawn in a power flow, MW and MVAr; None for 0.
     """
 
     kind: ClassVar[str] = "storage"
@@ -168,6 +180,8 @@ class Storage(Component):
     standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)
     rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
     exclusive: bool = flag(False)
+    ps_set: float | None = number("MW", None, optional=True, series=False)
+    qs_set: float | None = number("MVAr", None, optional=True, series=False)
     in_service: bool = flag(True)
 
     def check(self, name: str) -> None:

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeVar, cast
 
+from opfmodel.data.series import Profiles
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
 from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
@@ -55,6 +56,7 @@ class Network:
     _components: dict[str, Component]
     _derived: dict[Callable[[Network], Any], Any]
     _classes: dict[str, type[Component]]
+    _profiles: Profiles
 
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
         least, most = BASE_MVA
@@ -69,6 +71,7 @@ class Network:
         object.__setattr__(self, "_components", {})
         object.__setattr__(self, "_derived", {})
         object.__setattr__(self, "_classes", {kind.kind: kind for kind in BUILT_IN})
+        object.__setattr__(self, "_profiles", Profiles())
 
     @property
     def capacity_mva(self) -> float:
@@ -156,6 +159,15 @@ class Network:
             self._components[name] = component
         self._derived.clear()
 
+    @property
+    def profiles(self) -> Profiles:
+        """Time series that came with the network, as from PyPSA; problems use them unless given others."""
+        return self._profiles
+
+    def attach(self, profiles: Profiles) -> None:
+        """Attach time series, in place of those attached before; problems check them."""
+        object.__setattr__(self, "_profiles", profiles)
+
     def derived(self, make: Callable[[Network], T]) -> T:
         """Result of ``make(network)``, cached until a component changes."""
         if make not in self._derived:
@@ -176,6 +188,7 @@ class Network:
         twin._components.update(self._components)
         twin._derived.update(self._derived)
         twin._classes.update(self._classes)
+        twin.attach(self.profiles)
         return twin
 
     __copy__ = copy
