@@ -15,6 +15,7 @@ from typing import Any
 from opfmodel.data.files import check_file, is_folder
 from opfmodel.errors import CaseError, ComponentError, OpfmodelError, listed
 from opfmodel.network.cases.matpower import CaseFile, read_case
+from opfmodel.network.cases.pypsa import read_pypsa
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
@@ -24,7 +25,9 @@ from opfmodel.network.network import Network
 __all__ = ["read_network"]
 
 
-def read_network(path: str | Path, *, default_cost: Cost | None = None, format: str | None = None) -> Network:
+def read_network(
+    path: str | Path, *, default_cost: Cost | None = None, format: str | None = None, lossy: bool = False
+) -> Network:
     """Read a network file.
 
     Buses are named after their number or identifier, generators ``gen1, gen2, ...`` in file order,
@@ -34,11 +37,14 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     Parameters
     ----------
     path
-        File, or folder of a PyPSA CSV export.
+        File, or folder of a PyPSA CSV export. PyPSA's folders and netCDF files are read with PyPSA, if it
+        is installed, as by :func:`from_pypsa`.
     default_cost
         Cost of generators without cost data, for example in PSS/E files.
     format
         Name of the format, such as ``"psse"``, if it cannot be inferred from the file.
+    lossy
+        Warn about what opfmodel does not represent, and read the rest, instead of raising an error.
 
     Raises
     ------
@@ -54,6 +60,9 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     checked by :mod:`opfmodel.network.cases.matpower` first.
     """
     path = Path(path)
+    network = read_pypsa(path, format, lossy=lossy)
+    if network is not None:
+        return network
     module, source = _parse(path, format)
     case = _balanced(path, module.value)
     try:
