@@ -1,0 +1,149 @@
+"""A pandapower network as it is read: rows of its tables, and the name of each element."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from opfmodel.errors import CaseError, name_fault, shown
+from opfmodel.network.cases.losses import Losses
+from opfmodel.network.cases.pandapower.tables import ELEMENTS, UNMODELLED
+
+__all__ = ["Row", "Source"]
+
+
+class Row:
+    """A row of a table, whose missing and empty values have defaults."""
+
+    def __init__(self, where: str, table: str, name: str, index: int, values: Mapping[str, Any]) -> None:
+        self.label = f"{where}: {table} {name!r}"
+        self.table = table
+        self.name = name
+        self.index = index
+        self.values = values
+
+    def number(self, column: str, default: float = math.nan) -> float:
+        """Number in a column; the default if there is no such column or no value."""
+        value = self._value(column)
+        if value is None:
+            return default
+        try:
+            return float(value)
+        except (TypeError, ValueError):
+            raise CaseError(f"{self.label}: {column} = {shown(value)}: must be a number") from None
+
+    def given(self, column: str) -> float:
+        """Number in a column that must have a value."""
+        value = self.number(column)
+        if math.isnan(value):
+            raise CaseError(f"{self.label}: {column} has no value; must be a number")
+        return value
+
+    def flag(self, column: str, default: bool) -> bool:
+        """Boolean in a column; the default if there is no such column or no value."""
+        value = self._value(column)
+        return default if value is None else bool(value)
+
+    def text(self, column: str) -> str:
+        """Text in a column, empty if there is none."""
+        value = self._value(column)
+        return "" if value is None else str(value)
+
+    def limits(self, quantity: str) -> tuple[float, float]:
+        """``min_<quantity>`` and ``max_<quantity>``; infinite where there is no value."""
+        return self.number(f"min_{quantity}", -math.inf), self.number(f"max_{quantity}", math.inf)
+
+    @property
+    def in_service(self) -> bool:
+        """Whether the element is in service."""
+        return self.flag("in_service", True)
+
+    def _value(self, column: str) -> Any:
+        import pandas as pd
+
+        value = self.values.get(column)
+        return None if value is None or (pd.api.types.is_scalar(value) and pd.isna(value)) else value
+
+
+class Source:
+    """A pandapower network, the names of its elements, and what is lost.
+
+    Parameters
+    ----------
+    net
+        The network, which is copied.
+    where
+        File or network, for messages.
+
+    Notes
+    -----
+    An element keeps its pandapower name if this is visible text and no other element has it;
+    otherwise its name is its table and its index, such as ``load3``.
+    """
+
+    def __init__(self, net: Any, where: str) -> None:
+        self.net = copy.deepcopy(net)
+        self.where = where
+        self.losses = Losses(where)
+        self._names = _names(self.net)
+        for table in UNMODELLED:
+            self._drop(table)
+
+    def rows(self, table: str) -> Iterator[Row]:
+        """Rows of a table; none if the network has no such table."""
+        if table not in self.net:
+            return
+        frame = self.net[table]
+        for index, values in zip(frame.index, frame.to_dict("records"), strict=True):
+            yield Row(self.where, table, self.name(table, index), int(index), values)
+
+    def controllable(self, table: str, row: Row) -> bool:
+        """Whether an optimal power flow decides about an element, with pandapower's defaults."""
+        if table == "ext_grid":
+            return "controllable" in row.values and row.flag("controllable", True)
+        return row.flag("controllable", table == "gen")
+
+    def name(self, table: str, index: int) -> str:
+        """Name of an element."""
+        return self._names.get((table, int(index)), f"{table}{index}")
+
+    def _drop(self, table: str) -> None:
+        """Report the elements of a table that have no counterpart, and remove them."""
+        for row in self.rows(table):
+            if row.in_service:
+                self.losses.add(f"{table} {row.name!r}: {UNMODELLED[table]}; it is left out")
+        if table in self.net:
+            self.net[table] = self.net[table].iloc[:0]
+
+
+def _names(net: Any) -> dict[tuple[str, int], str]:
+    """Names of all elements, unique in the whole network."""
+    elements = [
+        (table, int(index), value)
+        for table in ELEMENTS
+        if table in net
+        for index, value in zip(
+            net[table].index,
+            net[table]["name"] if "name" in net[table] else [None] * len(net[table]),
+            strict=True,
+        )
+    ]
+    numbered = {f"{table}{index}": (table, index) for table, index, _ in elements}
+    count = Counter(_text(value) for _, _, value in elements)
+    names = {}
+    for table, index, value in elements:
+        text = _text(value)
+        own = numbered.get(text, (table, index)) == (table, index)
+        names[table, index] = text if text and count[text] == 1 and own else f"{table}{index}"
+    return names
+
+
+def _text(value: object) -> str:
+    """Name in a table as text; empty unless it can name a component."""
+    if isinstance(value, bool) or not (isinstance(value, str) or hasattr(value, "__index__")):
+        return ""
+    text = str(value).strip()
+    return "" if name_fault(text) else text
