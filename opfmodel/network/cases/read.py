@@ -15,6 +15,7 @@ from typing import Any
 from opfmodel.data.files import check_file, is_folder
 from opfmodel.errors import CaseError, ComponentError, OpfmodelError, listed
 from opfmodel.network.cases.matpower import CaseFile, read_case
+from opfmodel.network.cases.pandapower import read_pandapower
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
@@ -54,6 +55,9 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     checked by :mod:`opfmodel.network.cases.matpower` first.
     """
     path = Path(path)
+    network = read_pandapower(path, format, default_cost=default_cost)
+    if network is not None:
+        return network
     module, source = _parse(path, format)
     case = _balanced(path, module.value)
     try:

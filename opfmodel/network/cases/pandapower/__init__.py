@@ -1,18 +1,20 @@
-"""Networks of pandapower."""
+"""Networks of pandapower, in memory and in JSON files."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from opfmodel.errors import CaseError, OpfmodelError
 from opfmodel.network.cases.pandapower.costs import Costs
+from opfmodel.network.cases.pandapower.file import load, pandapower_text
 from opfmodel.network.cases.pandapower.grid import Grid
 from opfmodel.network.cases.pandapower.source import Source
 from opfmodel.network.cases.pandapower.units import Units
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 
-__all__ = ["from_pandapower"]
+__all__ = ["from_pandapower", "read_pandapower"]
 
 
 def from_pandapower(
@@ -40,13 +42,27 @@ def from_pandapower(
     Raises
     ------
     CaseError
-        The network is not valid, pandapower is not installed, or something would be lost.
+        The network is not valid, or something would be lost.
     """
-    return convert(net, "pandapower", default_cost=default_cost, lossy=lossy, name=name)
+    return _convert(net, "pandapower", default_cost, lossy, name)
 
 
-def convert(net: Any, where: str, *, default_cost: Cost | None, lossy: bool, name: str | None) -> Network:
-    """Convert a pandapower network that comes from ``where``, for messages."""
+def read_pandapower(
+    path: Path, format: str | None, *, default_cost: Cost | None = None, lossy: bool = False
+) -> Network | None:
+    """Read a JSON file of pandapower.
+
+    Returns None if the file has another format, or if pandapower is not installed and the file holds only
+    what powerio reads faithfully. Parameters and errors are those of :func:`from_pandapower`.
+    """
+    text = pandapower_text(path, format)
+    net = None if text is None else load(path, text)
+    if net is None:
+        return None
+    return _convert(net, str(path), default_cost, lossy, str(net.get("name") or "") or path.stem)
+
+
+def _convert(net: Any, where: str, default_cost: Cost | None, lossy: bool, name: str | None) -> Network:
     if not hasattr(net, "bus") or not hasattr(net, "sn_mva"):
         raise CaseError(f"{where}: a {type(net).__name__}; must be a network of pandapower")
     source = Source(net, where)

@@ -12,7 +12,7 @@ from opfmodel.errors import CaseError, name_fault, shown
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.pandapower.tables import ELEMENTS, UNMODELLED
 
-__all__ = ["Row", "Source"]
+__all__ = ["Row", "Source", "is_missing"]
 
 
 class Row:
@@ -62,10 +62,8 @@ class Row:
         return self.flag("in_service", True)
 
     def _value(self, column: str) -> Any:
-        import pandas as pd
-
         value = self.values.get(column)
-        return None if value is None or (pd.api.types.is_scalar(value) and pd.isna(value)) else value
+        return None if is_missing(value) else value
 
 
 class Source:
@@ -117,6 +115,11 @@ class Source:
                 self.losses.add(f"{table} {row.name!r}: {UNMODELLED[table]}; it is left out")
         if table in self.net:
             self.net[table] = self.net[table].iloc[:0]
+
+
+def is_missing(value: object) -> bool:
+    """Whether a value of a table is None, NaN or NA."""
+    return value is None or repr(value) in ("nan", "<NA>", "NaT", "np.float64(nan)")
 
 
 def _names(net: Any) -> dict[tuple[str, int], str]:
