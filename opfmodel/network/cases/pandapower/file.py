@@ -55,7 +55,9 @@ def load(path: Path, text: str) -> Any:
                 f"a pandapower file may refer to {', '.join(sorted(_MODULES))}"
             )
     import pandapower
+    from pandapower import io_utils
 
+    not_allowed = getattr(io_utils, "DeserializationNotAllowed", ValueError)  # since 3.5
     try:
         with warnings.catch_warnings(action="ignore"):
             net = pandapower.from_json_string(text, convert=False)
@@ -66,7 +68,7 @@ def load(path: Path, text: str) -> Any:
             return pandapower.convert_format(net)
     except (ArithmeticError, AttributeError, ImportError, LookupError, TypeError, ValueError) as error:
         raise CaseError(f"{path}: pandapower cannot read it: {type(error).__name__}: {error}") from error
-    except (NotImplementedError, RecursionError, UserWarning) as error:
+    except (NotImplementedError, RecursionError, UserWarning, not_allowed) as error:
         raise CaseError(f"{path}: pandapower cannot read it: {error}") from error
 
 
@@ -89,15 +91,11 @@ def _dropped(path: Path, text: str) -> Iterator[str]:
     try:
         content = json.loads(text)["_object"]
         for table, value in content.items():
-            if (
-                isinstance(value, dict)
-                and value.get("_class") == "DataFrame"
-                and not table.startswith("res_")
-            ):
-                frame = json.loads(value["_object"])
-                columns = frame["columns"]
-                for row in frame["data"]:
-                    yield from _dropped_values(table, dict(zip(columns, row, strict=True)))
+            if table.startswith("res_") or not isinstance(value, dict) or value.get("_class") != "DataFrame":
+                continue
+            frame = json.loads(value["_object"])
+            for row in frame["data"]:
+                yield from _dropped_values(table, dict(zip(frame["columns"], row, strict=True)))
     except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise CaseError(f"{path}: not a JSON file of pandapower: {error}") from error
 

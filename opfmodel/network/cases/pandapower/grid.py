@@ -20,8 +20,9 @@ import numpy.typing as npt
 from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.pandapower.source import Row, Source
 from opfmodel.network.cases.warn import warn
-from opfmodel.network.components import Branch, Bus
+from opfmodel.network.components import Branch, Bus, Shunt
 from opfmodel.network.network import Network
+from opfmodel.network.physics import branch_admittance
 
 __all__ = ["Grid"]
 
@@ -240,7 +241,18 @@ class Grid:
             shift=float(values[column.SHIFT]),
             in_service=bool(values[column.BR_STATUS]),
         )
-        network.add(name, branch)
+        network.add(name, branch if ends[0] != ends[1] else self._short_circuited(branch))
+
+    def _short_circuited(self, branch: Branch) -> Shunt:
+        """Shunt that equals a branch between fused buses: its charging, and circulating power at a tap."""
+        from_end = branch.g / 2 + branch.g_from, branch.b / 2 + branch.b_from
+        to_end = branch.g / 2 + branch.g_to, branch.b / 2 + branch.b_to
+        values = (branch.r, branch.x, *from_end, *to_end, branch.tap, math.radians(branch.shift))
+        y = branch_admittance(*map(np.array, values))
+        base = float(self.source.net.sn_mva)
+        g = float(y.g_ff + y.g_ft + y.g_tf + y.g_tt) * base
+        b = float(y.b_ff + y.b_ft + y.b_tf + y.b_tt) * base
+        return Shunt(branch.from_bus, g=g, b=b, in_service=branch.in_service)
 
     def _series(self, name: str, values: Array) -> tuple[float, float]:
         """Series impedance; one that depends on the direction is a loss and becomes the mean."""
