@@ -101,6 +101,7 @@ class Grid:
 
     def declare(self, network: Network) -> None:
         """Declare buses and branches, and the aliases of fused buses."""
+        self._warn_of_charging()
         limits = self._voltage_limits()
         references = self._references()
         for row, name in list(self.names.items()):
@@ -160,6 +161,20 @@ class Grid:
                 if item.in_service and slack and self.alive(self.row_of(item)):
                     found.setdefault(self.row_of(item), item)
         return found
+
+    def _warn_of_charging(self) -> None:
+        """Warn of transformers whose charging in MATPOWER was written as a negative open-loop current."""
+        negative = [
+            item.name
+            for table in ("trafo", "trafo3w")
+            for item in self.source.rows(table)
+            if item.in_service and item.number("i0_percent", 0.0) < 0
+        ]
+        if negative:
+            warn(
+                f"{self.source.where}: i0_percent is negative and counts with its magnitude, as in runpp: "
+                f"{listed(map(repr, negative))}"
+            )
 
     def _report_references(self, references: Mapping[int, Row]) -> None:
         """Report references beyond the first of an island, and angles other than zero."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from opfmodel.errors import CaseError, name_fault, shown
 from opfmodel.network.cases.losses import Losses
-from opfmodel.network.cases.pandapower.tables import ELEMENTS, UNMODELLED
+from opfmodel.network.cases.pandapower.tables import ELEMENTS, KNOWN, UNMODELLED
 
 __all__ = ["Row", "Source", "is_missing"]
 
@@ -89,6 +89,7 @@ class Source:
         self._names = _names(self.net)
         for table in UNMODELLED:
             self._drop(table)
+        self._report_unknown_tables()
 
     def rows(self, table: str) -> Iterator[Row]:
         """Rows of a table; none if the network has no such table."""
@@ -107,6 +108,17 @@ class Source:
     def name(self, table: str, index: int) -> str:
         """Name of an element."""
         return self._names.get((table, int(index)), f"{table}{index}")
+
+    def _report_unknown_tables(self) -> None:
+        """Report equipment in tables of later versions of pandapower; tables of users have no service."""
+        for table, frame in self.net.items():
+            own = table in KNOWN or table.startswith(("_", "res_"))
+            if own or "in_service" not in getattr(frame, "columns", ()):
+                continue
+            count = sum(row.in_service for row in self.rows(table))
+            if count:
+                elements = "1 element" if count == 1 else f"{count} elements"
+                self.losses.add(f"{table}: {elements} in service, of a kind that this version does not know")
 
     def _drop(self, table: str) -> None:
         """Report the elements of a table that have no counterpart, and remove them."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["CONVERTED", "ELEMENTS", "IGNORED", "READ", "REPORTED", "TABLES_IGNORED", "UNMODELLED"]
+__all__ = ["CONVERTED", "ELEMENTS", "IGNORED", "KNOWN", "READ", "REPORTED", "TABLES_IGNORED", "UNMODELLED"]
 
 
 def _columns(text: str) -> frozenset[str]:
@@ -139,3 +139,6 @@ ELEMENTS = (
     "motor", "asymmetric_load", "asymmetric_sgen", "shunt", "ward", "xward", *UNMODELLED,
 )  # fmt: skip
 """Tables whose rows have names."""
+
+KNOWN = frozenset({*ELEMENTS, *READ, *REPORTED, *TABLES_IGNORED})
+"""All tables that this version knows."""
