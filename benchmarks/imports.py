@@ -54,7 +54,8 @@ def differences() -> Iterator[tuple[str, int, float, float]]:
         network = om.from_pandapower(net)
         pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, max_iteration=50)
         source = Source(net, name)
-        theirs = {source.name("bus", i): net.res_bus.loc[i] for i in net.bus.index if net.res_bus.vm_pu[i] > 0}
+        found = net.res_bus[net.res_bus.vm_pu.notna()]
+        theirs = {source.name("bus", i): found.loc[i] for i in found.index}
         carrier = {bus: network.aliases.get(bus, bus) or "" for bus in theirs}
         start = {carrier[bus]: v.vm_pu * np.exp(1j * np.radians(v.va_degree)) for bus, v in theirs.items()}
         mine = power_flow(network, start)

@@ -19,6 +19,7 @@ from conftest import SCENARIOS
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 from newton import power_flow
+from pandapower import toolbox
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
@@ -513,6 +514,53 @@ def test_set_points() -> None:
     battery = read(storage(min_e_mwh=100))["storage0"]
     assert (battery.ps_set, battery.qs_set, battery.power, battery.q) == (2.0, 0.5, (-5, 5), (-1, 1))
     assert (battery.energy, battery.energy_min, battery.initial) == (1000, 100, 500)
+
+
+def test_storages_of_simbench_have_efficiencies() -> None:
+    net = storage()
+    net.storage["efficiency_percent"], net.storage["self-discharge_percent_per_day"] = 0.95, 0.24
+    battery = read(net)["storage0"]
+    assert (battery.charge_efficiency, battery.discharge_efficiency) == (0.95, 0.95)
+    assert battery.standing_loss == pytest.approx(0.0001)
+    net.storage["efficiency_percent"] = 95.0
+    assert read(net)["storage0"].charge_efficiency == 0.95
+
+
+@pytest.mark.parametrize("code", ["1-MV-rural--2-sw", "1-LV-rural1--0-sw"])
+def test_voltages_of_simbench_are_those_of_runpp(code: str) -> None:
+    simbench = pytest.importorskip("simbench")
+    net = simbench.get_simbench_net(code)
+    assert largest_difference(net, read(net)) < 1e-6
+
+
+def test_indices_need_not_be_consecutive() -> None:
+    net = grids.example_multivoltage()
+    toolbox.reindex_buses(net, {bus: 7 * bus + 3 for bus in net.bus.index})
+    for table in ("load", "line", "trafo", "trafo3w", "xward"):
+        toolbox.reindex_elements(net, table, [5 * index + 2 for index in net[table].index])
+    net.line = net.line.sort_index(ascending=False)
+    assert largest_difference(net, read(net)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"trafo3w_losses": "star"},
+        {"trafo_model": "pi"},
+        {"switch_rx_ratio": 1},
+        {"calculate_voltage_angles": "auto"},
+    ],
+)
+def test_saved_options_of_power_flows_count(options: dict[str, Any]) -> None:
+    net = grids.example_multivoltage()
+    net.switch.loc[net.switch.et == "b", "z_ohm"] = 0.1
+    net.trafo3w[["pfe_kw", "i0_percent"]] = [30.0, 0.1]
+    plain = read(net)
+    pp.set_user_pf_options(net, **options)
+    network = read(net)
+    assert largest_difference(net, network) < 1e-6
+    changes = [name for name in network if name not in plain or network[name] != plain[name]]
+    assert bool(changes) is ("calculate_voltage_angles" not in options)
 
 
 def test_the_network_is_not_changed() -> None:

@@ -80,7 +80,7 @@ CONVERTED: Mapping[str, frozenset[str]] = {
         "hv_bus mv_bus lv_bus sn_hv_mva sn_mv_mva sn_lv_mva vn_hv_kv vn_mv_kv vn_lv_kv vk_hv_percent "
         "vk_mv_percent vk_lv_percent vkr_hv_percent vkr_mv_percent vkr_lv_percent pfe_kw i0_percent "
         "shift_mv_degree shift_lv_degree tap_side tap_neutral tap_step_percent tap_step_degree tap_pos "
-        "tap_at_star_point tap_changer_type tap_dependency_table id_characteristic_table"
+        "tap_at_star_point tap_changer_type tap_dependency_table id_characteristic_table loss_side"
     ),
     "impedance": _columns("from_bus to_bus rft_pu xft_pu rtf_pu xtf_pu gf_pu bf_pu gt_pu bt_pu sn_mva"),
     "switch": _columns("bus element et closed z_ohm"),

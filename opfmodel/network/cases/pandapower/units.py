@@ -23,6 +23,7 @@ from opfmodel.network.network import Network
 __all__ = ["Units"]
 
 _CONSTANT = ("const_z_p_percent", "const_i_p_percent", "const_z_q_percent", "const_i_q_percent")
+_EFFICIENCY, _SELF_DISCHARGE = "efficiency_percent", "self-discharge_percent_per_day"  # of SimBench
 _PHASES = "abc"
 _AGREE = 1e-9  # MW; the converter and this reader add the same numbers in another order
 
@@ -151,6 +152,8 @@ class Units:
                 f"{row.label}: {missing} has no value; a controllable storage needs its energy: "
                 "max_e_mwh in MWh and soc_percent in percent of it"
             )
+        efficiency = row.number(_EFFICIENCY, 100.0)
+        efficiency /= 100.0 if efficiency > 1.0 else 1.0  # SimBench writes 0.95 in this column
         network.add(
             row.name,
             Storage(
@@ -160,6 +163,9 @@ class Units:
                 q=row.limits("q_mvar"),
                 initial=charge / 100.0 * energy,
                 energy_min=row.number("min_e_mwh", 0.0),
+                charge_efficiency=efficiency,
+                discharge_efficiency=efficiency,
+                standing_loss=row.number(_SELF_DISCHARGE, 0.0) / 100.0 / 24.0,
                 ps_set=p,
                 qs_set=q,
                 in_service=row.in_service,
