@@ -46,16 +46,16 @@ def differences() -> Iterator[tuple[str, int, float, float]]:
     import pandapower as pp
     from newton import power_flow
 
-    from opfmodel.network.cases.pandapower.source import Source
+    from opfmodel.network.cases.pandapower.source import element_names
 
     for name, make in networks():
         net = make()
         net = net[0] if isinstance(net, tuple) else net
         network = om.from_pandapower(net)
         pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, max_iteration=50)
-        source = Source(net, name)
+        names = element_names(net)
         found = net.res_bus[net.res_bus.vm_pu.notna()]
-        theirs = {source.name("bus", i): found.loc[i] for i in found.index}
+        theirs = {names["bus", i]: found.loc[i] for i in found.index}
         carrier = {bus: network.aliases.get(bus, bus) or "" for bus in theirs}
         start = {carrier[bus]: v.vm_pu * np.exp(1j * np.radians(v.va_degree)) for bus, v in theirs.items()}
         mine = power_flow(network, start)

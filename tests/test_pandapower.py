@@ -24,7 +24,7 @@ from pandapower import toolbox
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
 from opfmodel.network.cases.pandapower import tables
-from opfmodel.network.cases.pandapower.source import Source
+from opfmodel.network.cases.pandapower.source import Source, element_names
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 logging.getLogger("pandapower").setLevel(logging.CRITICAL)
@@ -45,7 +45,7 @@ def largest_difference(net: Any, network: om.Network) -> float:
     Buses that are dead in one and alive in the other count as infinitely different.
     """
     pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, max_iteration=50)
-    names = [Source(net, "").name("bus", index) for index in net.bus.index]
+    names = [element_names(net)["bus", index] for index in net.bus.index]
     theirs = net.res_bus.vm_pu.to_numpy() * np.exp(1j * np.radians(net.res_bus.va_degree.to_numpy()))
     carriers = [network.aliases.get(name, name) for name in names]
     start = {c: v for c, v in zip(carriers, theirs, strict=True) if c is not None and not np.isnan(v)}

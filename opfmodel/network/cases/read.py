@@ -16,6 +16,7 @@ from opfmodel.data.files import check_file, is_folder
 from opfmodel.errors import CaseError, ComponentError, OpfmodelError, listed
 from opfmodel.network.cases.matpower import CaseFile, read_case
 from opfmodel.network.cases.pandapower import read_pandapower
+from opfmodel.network.cases.simbench import is_simbench, read_simbench
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
@@ -35,7 +36,7 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     Parameters
     ----------
     path
-        File, or folder of a PyPSA CSV export.
+        File, folder of a PyPSA CSV export, or a grid of SimBench, such as ``simbench:1-MV-rural--2-sw``.
     default_cost
         Cost of generators without cost data, for example in PSS/E files.
     format
@@ -55,6 +56,8 @@ def read_network(path: str | Path, *, default_cost: Cost | None = None, format: 
     checked by :mod:`opfmodel.network.cases.matpower` first.
     """
     path = Path(path)
+    if is_simbench(path):
+        return read_simbench(path, default_cost=default_cost)
     network = read_pandapower(path, format, default_cost=default_cost)
     if network is not None:
         return network

@@ -14,7 +14,7 @@ from opfmodel.network.cases.pandapower.units import Units
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 
-__all__ = ["from_pandapower", "read_pandapower"]
+__all__ = ["convert", "from_pandapower", "read_pandapower"]
 
 
 def from_pandapower(
@@ -44,7 +44,7 @@ def from_pandapower(
     CaseError
         The network is not valid, or something would be lost.
     """
-    return _convert(net, "pandapower", default_cost, lossy, name)
+    return convert(net, "pandapower", default_cost, lossy, name)
 
 
 def read_pandapower(
@@ -59,10 +59,11 @@ def read_pandapower(
     net = None if text is None else load(path, text)
     if net is None:
         return None
-    return _convert(net, str(path), default_cost, lossy, str(net.get("name") or "") or path.stem)
+    return convert(net, str(path), default_cost, lossy, str(net.get("name") or "") or path.stem)
 
 
-def _convert(net: Any, where: str, default_cost: Cost | None, lossy: bool, name: str | None) -> Network:
+def convert(net: Any, where: str, default_cost: Cost | None, lossy: bool, name: str | None) -> Network:
+    """Convert a pandapower network that comes from ``where``, for messages."""
     if not hasattr(net, "bus") or not hasattr(net, "sn_mva"):
         raise CaseError(f"{where}: a {type(net).__name__}; must be a network of pandapower")
     source = Source(net, where)

@@ -12,7 +12,7 @@ from opfmodel.errors import CaseError, name_fault, shown
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.pandapower.tables import ELEMENTS, KNOWN, UNMODELLED
 
-__all__ = ["Row", "Source", "is_missing"]
+__all__ = ["Row", "Source", "element_names", "is_missing"]
 
 
 class Row:
@@ -86,7 +86,7 @@ class Source:
         self.net = copy.deepcopy(net)
         self.where = where
         self.losses = Losses(where)
-        self._names = _names(self.net)
+        self._names = element_names(self.net)
         for table in UNMODELLED:
             self._drop(table)
         self._report_unknown_tables()
@@ -101,8 +101,6 @@ class Source:
 
     def controllable(self, table: str, row: Row) -> bool:
         """Whether an optimal power flow decides about an element, with pandapower's defaults."""
-        if table == "ext_grid":
-            return "controllable" in row.values and row.flag("controllable", True)
         return row.flag("controllable", table == "gen")
 
     def name(self, table: str, index: int) -> str:
@@ -134,8 +132,8 @@ def is_missing(value: object) -> bool:
     return value is None or repr(value) in ("nan", "<NA>", "NaT", "np.float64(nan)")
 
 
-def _names(net: Any) -> dict[tuple[str, int], str]:
-    """Names of all elements, unique in the whole network."""
+def element_names(net: Any) -> dict[tuple[str, int], str]:
+    """Names of all elements by table and index, unique in the whole network; see :class:`Source`."""
     elements = [
         (table, int(index), value)
         for table in ELEMENTS
