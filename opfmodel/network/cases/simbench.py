@@ -18,31 +18,26 @@ from opfmodel.network.cases.pandapower.source import element_names
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 
-__all__ = ["is_simbench", "read_simbench"]
+__all__ = ["read_simbench"]
 
 _PREFIX = "simbench:"
 # The year 2016 in local time, every quarter of an hour, with both clock changes.
 _CALENDAR = Calendar(np.datetime64("2015-12-31T23:00"), 0.25, "Europe/Berlin")
 
 
-def is_simbench(path: Path) -> bool:
-    """Whether a path names a grid of SimBench."""
-    return path.name.startswith(_PREFIX)
-
-
-def read_simbench(path: Path, *, default_cost: Cost | None = None, lossy: bool = False) -> Network:
+def read_simbench(
+    path: Path,
+    format: str | None,  # noqa: ARG001
+    *,
+    default_cost: Cost | None = None,
+    lossy: bool = False,
+) -> Network | None:
     """Read a grid of SimBench by its code, with its time series of the year 2016.
 
-    Loads follow their profiles. Static generators may be curtailed below theirs and inject no reactive
-    power. Storages are decided between plus and minus their rated power, without reactive power, in place
-    of the profiles that SimBench gives them.
-
-    Parameters
-    ----------
-    path
-        ``simbench:CODE``; a folder before it is ignored.
-    default_cost, lossy
-        As in :func:`opfmodel.from_pandapower`.
+    Returns None unless the path is ``simbench:CODE``; a folder before it is ignored. Loads follow their
+    profiles. Static generators may be curtailed below theirs and inject no reactive power. Storages are
+    decided between plus and minus their rated power, without reactive power, in place of the profiles that
+    SimBench gives them.
 
     Raises
     ------
@@ -54,6 +49,8 @@ def read_simbench(path: Path, *, default_cost: Cost | None = None, lossy: bool =
     Meinecke et al., "SimBench—A Benchmark Dataset of Electric Power Systems to Compare Innovative
     Solutions Based on Power Flow Analysis", Energies 13 (2020) 3290.
     """
+    if not path.name.startswith(_PREFIX):
+        return None
     code = path.name.removeprefix(_PREFIX)
     if importlib.util.find_spec("simbench") is None:
         raise CaseError(
@@ -76,10 +73,8 @@ def read_simbench(path: Path, *, default_cost: Cost | None = None, lossy: bool =
 
 def _release(net: Any) -> None:
     """Let static generators and storages be decided."""
-    for table, low, high in (
-        ("sgen", 0.0, net.sgen.p_mw),
-        ("storage", -net.storage.sn_mva, net.storage.sn_mva),
-    ):
+    rated = net.storage.sn_mva
+    for table, low, high in (("sgen", 0.0, net.sgen.p_mw), ("storage", -rated, rated)):
         frame = net[table]
         frame["controllable"] = True
         frame["min_p_mw"], frame["max_p_mw"] = low, high
