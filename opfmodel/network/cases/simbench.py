@@ -93,6 +93,8 @@ def _profiles(net: Any, values: Any) -> Profiles:
         frame = values[table, column]
         scaling = net[table].scaling.reindex(frame.columns).to_numpy()
         scaled = frame.to_numpy() * scaling
+        if field == "p_max":
+            scaled = np.maximum(scaled, 0.0)  # some draw a few watts at night
         for number, index in enumerate(frame.columns):
             series[names[table, index], field] = np.ascontiguousarray(scaled[:, number])
     return Profiles(series, _CALENDAR)
