@@ -11,6 +11,7 @@ from .network import (
     Shunt as Shunt,
     Storage as Storage,
     from_pandapower as from_pandapower,
+    from_pypsa as from_pypsa,
     read_network as read_network,
     write_network as write_network,
 )

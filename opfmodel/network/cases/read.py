@@ -8,6 +8,7 @@ from typing import Protocol
 
 from opfmodel.network.cases.pandapower import read_pandapower
 from opfmodel.network.cases.powerio import read_powerio
+from opfmodel.network.cases.pypsa import read_pypsa
 from opfmodel.network.cases.simbench import read_simbench
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
@@ -23,7 +24,7 @@ class _Reader(Protocol):
     ) -> Network | None: ...
 
 
-_READERS: Sequence[_Reader] = (read_simbench, read_pandapower)
+_READERS: Sequence[_Reader] = (read_simbench, read_pandapower, read_pypsa)
 """Readers of single formats, in order; powerio reads the files that none of them knows, or refuses them."""
 
 
@@ -41,6 +42,8 @@ def read_network(
     ----------
     path
         File, folder of a PyPSA CSV export, or a grid of SimBench, such as ``simbench:1-MV-rural--2-sw``.
+        File, or folder of a PyPSA CSV export. PyPSA's folders and netCDF files are read with PyPSA, if it
+        is installed, as by :func:`from_pypsa`.
     default_cost
         Cost of generators without cost data, for example in PSS/E files.
     format
