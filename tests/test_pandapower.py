@@ -694,12 +694,21 @@ def test_what_is_out_of_service_is_no_loss() -> None:
         (lambda: changed(net=piecewise(), pwl_cost={"points": "[[0, 5], 3]"}), "points = .* must be a list"),
         (lambda: changed(net=piecewise(), pwl_cost={"points": "[]"}), "at least one range"),
         (lambda: changed(net=piecewise(), pwl_cost={"points": "[[0, 5, 9], [5, 9, 1]]"}), "must be convex"),
+        (lambda: changed(net=feeder(), bus={"vn_kv": "high"}), "pandapower cannot convert the network"),
+        (lambda: with_index(feeder(), 10**12), "bus: index 1000000000000: must be an integer from 0 to"),
+        (lambda: with_index(feeder(), -2), "bus: index -2: must be"),
         (lambda: 5, "a int; must be a network of pandapower"),
     ],
 )  # fmt: skip
 def test_invalid_networks_are_refused(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(CaseError, match=f"^pandapower: .*{message}"):
         read(make())
+
+
+def with_index(net: Any, index: int) -> Any:
+    """Rename the second bus."""
+    net.bus.index = [0, index]
+    return net
 
 
 def changed(net: Any, **tables: dict[str, Any]) -> Any:

@@ -317,11 +317,23 @@ def _convert(source: Source) -> Mapping[str, Any]:
     return arrays
 
 
+# What pandapower raises for data that it does not accept.
+_INVALID = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    NotImplementedError,
+    TypeError,
+    UserWarning,
+    ValueError,
+)
+
+
 @contextlib.contextmanager
 def _refusals(where: str) -> Iterator[None]:
     """Turn the errors that pandapower raises for invalid data into :class:`CaseError`."""
     try:
         yield
-    except (ArithmeticError, AttributeError, LookupError, TypeError, UserWarning, ValueError) as error:
+    except _INVALID as error:
         text = str(error) if isinstance(error, UserWarning) else f"{type(error).__name__}: {error}"
         raise CaseError(f"{where}: pandapower cannot convert the network: {text}") from error

@@ -14,6 +14,8 @@ from opfmodel.network.cases.pandapower.tables import ELEMENTS, KNOWN, UNMODELLED
 
 __all__ = ["Row", "Source", "element_names", "is_missing"]
 
+_LARGEST_INDEX = 10_000_000
+
 
 class Row:
     """A row of a table, whose missing and empty values have defaults."""
@@ -83,6 +85,7 @@ class Source:
     """
 
     def __init__(self, net: Any, where: str) -> None:
+        _check_indices(net, where)
         self.net = copy.deepcopy(net)
         self.where = where
         self.losses = Losses(where)
@@ -125,6 +128,16 @@ class Source:
                 self.losses.add(f"{table} {row.name!r}: {UNMODELLED[table]}; it is left out")
         if table in self.net:
             self.net[table] = self.net[table].iloc[:0]
+
+
+def _check_indices(net: Any, where: str) -> None:
+    """Raise :class:`CaseError` for an index that pandapower's lookups cannot hold; they are dense."""
+    for table in ELEMENTS:
+        for index in net[table].index if table in net else ():
+            if not (hasattr(index, "__index__") and 0 <= index <= _LARGEST_INDEX):
+                raise CaseError(
+                    f"{where}: {table}: index {shown(index)}: must be an integer from 0 to {_LARGEST_INDEX:,}"
+                )
 
 
 def is_missing(value: object) -> bool:
