@@ -697,12 +697,21 @@ def test_what_is_out_of_service_is_no_loss() -> None:
         (lambda: changed(net=feeder(), bus={"vn_kv": "high"}), "pandapower cannot convert the network"),
         (lambda: with_index(feeder(), 10**12), "bus: index 1000000000000: must be an integer from 0 to"),
         (lambda: with_index(feeder(), -2), "bus: index -2: must be"),
+        (lambda: with_index(feeder(), 0), "bus: the labels of each index must differ; repeated: 0"),
+        (lambda: with_table(feeder(), "load", {"bus": [1]}), "load is a dict; must be a table"),
+        (lambda: changed(net=feeder(), load={"in_service": object()}), "pandapower cannot convert the network"),
         (lambda: 5, "a int; must be a network of pandapower"),
     ],
 )  # fmt: skip
 def test_invalid_networks_are_refused(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(CaseError, match=f"^pandapower: .*{message}"):
         read(make())
+
+
+def with_table(net: Any, name: str, table: object) -> Any:
+    """Replace a table."""
+    net[name] = table
+    return net
 
 
 def with_index(net: Any, index: int) -> Any:

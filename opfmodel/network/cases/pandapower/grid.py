@@ -7,7 +7,6 @@ with taps, as ``runpp`` does. What injects is read from the tables by
 
 from __future__ import annotations
 
-import contextlib
 import math
 import warnings
 from collections.abc import Iterator, Mapping
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import CaseError, listed
-from opfmodel.network.cases.pandapower.source import Row, Source
+from opfmodel.network.cases.pandapower.source import Row, Source, refusals
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.components import Branch, Bus, Shunt
 from opfmodel.network.network import Network
@@ -301,7 +300,7 @@ def _convert(source: Source) -> Mapping[str, Any]:
     options = {key: saved.get(key, value) for key, value in _OPTIONS.items()}
     if options["calculate_voltage_angles"] == "auto":
         options["calculate_voltage_angles"] = True
-    with _refusals(source.where), warnings.catch_warnings(action="ignore"):
+    with refusals(source.where), warnings.catch_warnings(action="ignore"):
         net._options = {}
         _add_ppc_options(
             net,
@@ -315,25 +314,3 @@ def _convert(source: Source) -> Mapping[str, Any]:
         )
         arrays: Mapping[str, Any] = _pd2ppc(net)[0]
     return arrays
-
-
-# What pandapower raises for data that it does not accept.
-_INVALID = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    NotImplementedError,
-    TypeError,
-    UserWarning,
-    ValueError,
-)
-
-
-@contextlib.contextmanager
-def _refusals(where: str) -> Iterator[None]:
-    """Turn the errors that pandapower raises for invalid data into :class:`CaseError`."""
-    try:
-        yield
-    except _INVALID as error:
-        text = str(error) if isinstance(error, UserWarning) else f"{type(error).__name__}: {error}"
-        raise CaseError(f"{where}: pandapower cannot convert the network: {text}") from error

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import importlib.util
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from opfmodel.errors import CaseError, name_fault, shown
+from opfmodel.errors import CaseError, listed, name_fault, shown
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.pandapower.tables import ELEMENTS, KNOWN, UNMODELLED
 
-__all__ = ["Row", "Source", "element_names", "is_missing"]
+__all__ = ["Row", "Source", "element_names", "is_missing", "refusals"]
 
 _LARGEST_INDEX = 10_000_000
+_LONGEST = 300  # characters of an error of pandapower
 
 
 class Row:
@@ -85,8 +88,9 @@ class Source:
     """
 
     def __init__(self, net: Any, where: str) -> None:
-        _check_indices(net, where)
-        self.net = copy.deepcopy(net)
+        _check_tables(net, where)
+        with refusals(where):
+            self.net = copy.deepcopy(net)
         self.where = where
         self.losses = Losses(where)
         self._names = element_names(self.net)
@@ -130,10 +134,45 @@ class Source:
             self.net[table] = self.net[table].iloc[:0]
 
 
-def _check_indices(net: Any, where: str) -> None:
-    """Raise :class:`CaseError` for an index that pandapower's lookups cannot hold; they are dense."""
-    for table in ELEMENTS:
-        for index in net[table].index if table in net else ():
+@contextlib.contextmanager
+def refusals(where: str) -> Iterator[None]:
+    """Turn the errors that pandapower raises for invalid data into :class:`CaseError`."""
+    try:
+        yield
+    except _invalid() as error:
+        text = str(error) if isinstance(error, UserWarning) else f"{type(error).__name__}: {error}"
+        raise CaseError(f"{where}: pandapower cannot convert the network: {text[:_LONGEST]}") from error
+
+
+def _invalid() -> tuple[type[Exception], ...]:
+    """What pandapower raises for data that it does not accept; with numba, also errors of its compiler."""
+    found: list[type[Exception]] = [ArithmeticError, AttributeError, LookupError, NotImplementedError]
+    found += [TypeError, UserWarning, ValueError]
+    if importlib.util.find_spec("numba") is not None:
+        from numba.core.errors import NumbaError
+
+        found.append(NumbaError)
+    return tuple(found)
+
+
+def _check_tables(net: Any, where: str) -> None:
+    """Raise :class:`CaseError` unless tables are tables, with distinct columns and indices in bounds.
+
+    The lookups of pandapower are dense arrays over the indices.
+    """
+    import pandas as pd
+
+    for table in sorted(KNOWN & set(net.keys())):
+        frame = net[table]
+        if not isinstance(frame, pd.DataFrame):
+            raise CaseError(f"{where}: {table} is a {type(frame).__name__}; must be a table")
+        for what, labels in (("column", frame.columns), ("index", frame.index)):
+            if not labels.is_unique:
+                repeated = listed(map(str, labels[labels.duplicated()].unique()))
+                raise CaseError(
+                    f"{where}: {table}: the labels of each {what} must differ; repeated: {repeated}"
+                )
+        for index in frame.index:
             if not (hasattr(index, "__index__") and 0 <= index <= _LARGEST_INDEX):
                 raise CaseError(
                     f"{where}: {table}: index {shown(index)}: must be an integer from 0 to {_LARGEST_INDEX:,}"
