@@ -19,7 +19,7 @@ pypsa = pytest.importorskip("pypsa")
 pd = pytest.importorskip("pandas")
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:(?s).*absent slots.*"),  # linopy, of PyPSA's own problem
+    pytest.mark.filterwarnings("ignore::FutureWarning"),  # linopy, of PyPSA's own problem
     pytest.mark.filterwarnings("ignore::opfmodel.errors.CaseWarning"),
 ]
 
@@ -95,11 +95,11 @@ def test_the_optimum_is_that_of_pypsa(hours: float, cyclic: bool) -> None:
 
 def test_fixed_powers_and_energies_are_those_of_pypsa() -> None:
     n = meshed()
-    n.generators_t.p_set["wind"] = np.where(np.arange(12) % 3, np.nan, 5.0)
+    n.generators_t.p_set["wind"] = np.where(np.arange(12) % 3, np.nan, 2.0)
     n.storage_units_t.p_set["hydro"] = np.where(np.arange(12) == 4, 3.0, np.nan)
     n.stores_t.e_set["tank"] = np.where(np.arange(12) == 7, 30.0, np.nan)
     n.stores_t.e_max_pu["tank"] = np.linspace(1.0, 0.7, 12)
-    n.storage_units_t.state_of_charge_set["hydro"] = np.where(np.arange(12) == 9, 44.0, np.nan)
+    n.storage_units_t.state_of_charge_set["hydro"] = np.where(np.arange(12) == 9, 25.0, np.nan)
     expected, found = optima(n)
     assert found == pytest.approx(expected, rel=1e-6)
     plain, _ = optima(meshed())
@@ -155,8 +155,9 @@ def networks(draw: st.DrawFn) -> "pypsa.Network":
     for i in range(draw(st.integers(0, 2))):
         ramp = draw(st.sampled_from([np.nan, 0.2, 0.6]))
         n.add("Generator", f"unit{i}", bus=draw(bus), p_nom=draw(st.floats(0, 60)), p_max_pu=series(share),
+              # with ramp limits, PyPSA itself fails at inactive generators
               marginal_cost=series(st.floats(-20, 60)), ramp_limit_up=ramp, ramp_limit_down=ramp,
-              active=draw(st.booleans()))  # fmt: skip
+              active=not np.isnan(ramp) or draw(st.booleans()))  # fmt: skip
     cyclic = draw(st.booleans())
     for i in range(draw(st.integers(0, 2))):
         power, full = draw(st.floats(1, 30)), draw(st.floats(0.5, 5))
@@ -575,7 +576,10 @@ def test_files_are_read_as_the_network_that_was_written(files: tuple[Path, Path]
     for path in files:
         found = om.read_network(path)
         assert found.name == "meshed"
-        assert {name: found[name] for name in found} == {name: expected[name] for name in expected}
+        assert list(found) == list(expected)
+        for name in expected:  # CSV files round the numbers
+            for field in expected[name].table_fields():
+                assert found[name].constant(field) == pytest.approx(expected[name].constant(field), rel=1e-12)
         assert found.profiles.calendar == expected.profiles.calendar
         assert found.profiles.keys() == expected.profiles.keys()
         for key, values in expected.profiles.items():
