@@ -16,6 +16,7 @@ from opfmodel.network.cases.pypsa.file import is_pypsa, load
 from opfmodel.network.cases.pypsa.snapshots import steps_of
 from opfmodel.network.cases.pypsa.source import PREFIXES, UNNAMED, Source
 from opfmodel.network.cases.warn import warn
+from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series
 
@@ -74,7 +75,13 @@ def from_pypsa(
     return _convert(n, Source.title_of(n), lossy, voltage, free_dispatch)
 
 
-def read_pypsa(path: Path, format: str | None, *, lossy: bool = False) -> Network | None:
+def read_pypsa(
+    path: Path,
+    format: str | None,
+    *,
+    default_cost: Cost | None = None,  # noqa: ARG001 - PyPSA states every cost
+    lossy: bool = False,
+) -> Network | None:
     """Read a netCDF file or a CSV folder of PyPSA.
 
     Returns None if the path has another format, or if PyPSA is not installed and a folder holds only what
