@@ -70,13 +70,10 @@ def optima(n: "pypsa.Network", **options: object) -> tuple[float | None, float |
     status, _ = n.optimize(solver_name="highs", include_objective_constant=False, log_to_console=False)
     network = om.from_pypsa(n, **options)
     cyclic = bool(n.storage_units.cyclic_state_of_charge.any() or n.stores.e_cyclic.any())
-    calendar = network.profiles.calendar
     plan = om.MultiStage(
         network,
         horizon=len(n.snapshots),
-        step=calendar.step if calendar else 1.0,
         formulation="dc-matpower",
-        profiles=network.profiles,
         end=om.End(cyclic=cyclic),
         regularisation=0.0,
     ).solve(initial={"e": None} if cyclic else None)
@@ -584,6 +581,18 @@ def test_files_are_read_as_the_network_that_was_written(files: tuple[Path, Path]
         assert found.profiles.keys() == expected.profiles.keys()
         for key, values in expected.profiles.items():
             np.testing.assert_allclose(found.profiles[key], values, rtol=1e-12)
+
+
+def test_a_scenario_runs_a_file_with_its_series_and_step(files: tuple[Path, Path]) -> None:
+    path = files[0].with_name("week.yaml")
+    path.write_text(
+        "network: {file: grid.nc}\ntime: {steps: 3}\ncontroller: {formulation: dc-matpower, horizon: 8}\n"
+    )
+    scenario = om.load_scenario(path)
+    assert scenario.profiles.calendar.step == 0.25
+    run = scenario.simulate()
+    available = om.read_network(files[0]).profiles["wind.p_max"][:3]
+    assert (run.data.pg.sel(generator="wind").values[:3] <= available + 1e-6).all()
 
 
 def test_losses_of_files_are_refused_and_accepted(files: tuple[Path, Path]) -> None:
