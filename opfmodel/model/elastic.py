@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
@@ -164,6 +165,8 @@ class Shortage:
         Amount by stage, in the physical unit.
     hours
         Hour at which each stage begins; empty if the amounts do not belong to stages.
+    moments
+        The same as text, such as ``hour 3`` or a local time.
     step
         Hours per stage.
     cost
@@ -176,6 +179,7 @@ class Shortage:
     side: Side
     amounts: Array
     hours: Array
+    moments: tuple[str, ...]
     step: float
     cost: float
 
@@ -196,7 +200,7 @@ class Shortage:
         if not self.hours.size:
             return text
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
-        text += f" at hour {self.hours[first]:g}"
+        text += f" at {self.moments[first]}"
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
@@ -211,7 +215,7 @@ def shortages(
     network: PerUnitNetwork,
     prices: Elastic,
     step: float,
-    hours: Array,
+    times: Times,
 ) -> tuple[Shortage, ...]:
     """Return the shortfalls of a network, the most expensive first.
 
@@ -219,9 +223,10 @@ def shortages(
     ----------
     solution
         The solution to report.
-    hours
-        Hour at which each stage begins.
+    times
+        Beginnings of the stages.
     """
+    hours = times.hours
     found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
     for slack in slacks:
         soft = slack.soft
@@ -237,11 +242,12 @@ def shortages(
                 join = np.maximum if soft.price == "limit" else np.add
                 found[key] = soft, join(known, spread[item]), join(cost, priced[item])
     made = []
+    moments = times.shown if found else ()
     for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
-        moments = hours if soft.timed else hours[:0]
-        made.append(Shortage(kind, component, soft, side, physical, moments, step, total))
+        timed = (hours, moments) if soft.timed else (hours[:0], ())
+        made.append(Shortage(kind, component, soft, side, physical, *timed, step, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

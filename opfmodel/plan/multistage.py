@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -341,6 +342,15 @@ class MultiStage:
                     f"{steps} steps with a horizon of {self.horizon} need {what} of {needed} values; "
                     f"the shortest has {length}; extend the series, or reduce the horizon or the steps"
                 )
+
+    def times(self, first: int, stages: int) -> Times:
+        """Return the beginnings of stages from a step on."""
+        return Times(first, stages, self.step, self.profiles.calendar)
+
+    def step_name(self, step: int) -> str:
+        """Return a step for messages: its number, and its local time if the series have time stamps."""
+        calendar = self.profiles.calendar
+        return f"step {step}" if calendar is None else f"step {step} ({calendar.shown(step)})"
 
     def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
         """Return the network with the time series of ``stages`` steps from ``start``.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
@@ -148,7 +149,7 @@ class Plan:
         if prices is None or not self.short:
             return ()
         slacks, step = self.model.slacks.values(), self.problem.step
-        return shortages(slacks, shortfall_due(self), self.network, prices, step, self.times)
+        return shortages(slacks, shortfall_due(self), self.network, prices, step, self._moments)
 
     @property
     def penalty(self) -> float:
@@ -215,7 +216,7 @@ class Plan:
             name: (kind, *described[name], array)
             for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
-        made = dataset(self.network, values, self.times)
+        made = dataset(self.network, values, self._moments)
         made.attrs |= {
             "network": self.network.name,
             "formulation": self.problem.formulation.name,
@@ -254,9 +255,12 @@ class Plan:
 
     @property
     def times(self) -> Array:
-        """Hours at which the stages begin."""
-        stages = np.arange(self.problem.horizon, dtype=float)
-        return (self.time + stages) * self.problem.step
+        """Hours at which the stages begin, counted from step 0."""
+        return self._moments.hours
+
+    @property
+    def _moments(self) -> Times:
+        return self.problem.times(self.time, self.problem.horizon)
 
 
 def penalty_outputs(model: Model) -> list[str]:
