@@ -91,7 +91,8 @@ class Soft:
     share
         Share of the price that each row bears if several rows state one limit.
     first
-        Stage of the first column of the rows; -1 for values at the ends of stages.
+        Stage of the first column of the rows; -1 for values at the ends of stages, None for rows of the
+        last stage.
     noun
         Word for the components in the sentences; their kind by default.
     names
@@ -108,7 +109,7 @@ class Soft:
     price: Literal["limit", "shedding", "balance"] = "limit"
     squared: bool = False
     share: float = 1.0
-    first: int = 0
+    first: int | None = 0
     noun: str = ""
     names: tuple[str, ...] = ()
     timed: bool = True
@@ -144,9 +145,9 @@ class Slack:
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
-        kept = slice(max(-self.soft.first, 0), None)
-        amounts = amounts[:, kept]
-        first = max(self.soft.first, 0)
+        first = stages - amounts.shape[1] if self.soft.first is None else self.soft.first
+        amounts = amounts[:, max(-first, 0) :][:, : stages - max(first, 0)]
+        first = max(first, 0)
         np.add.at(out[:, first : first + amounts.shape[1]], self.soft.members, amounts)
         return out
 
