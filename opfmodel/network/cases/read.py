@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from opfmodel.network.cases.powerio import read_powerio
+from opfmodel.network.cases.pypsa import read_pypsa
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 
@@ -21,7 +22,7 @@ class _Reader(Protocol):
     ) -> Network | None: ...
 
 
-_READERS: Sequence[_Reader] = ()
+_READERS: Sequence[_Reader] = (read_pypsa,)
 """Readers of single formats, in order; powerio reads the files that none of them knows, or refuses them."""
 
 
@@ -37,7 +38,8 @@ def read_network(
     Parameters
     ----------
     path
-        File, or folder of a PyPSA CSV export.
+        File, or folder of a PyPSA CSV export. PyPSA's folders and netCDF files are read with PyPSA, if it
+        is installed, as by :func:`from_pypsa`.
     default_cost
         Cost of generators without cost data, for example in PSS/E files.
     format
