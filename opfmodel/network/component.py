@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from opfmodel.errors import ComponentError, ProfileError, nearest
-from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import (
     INF,
     TableField,
@@ -152,8 +152,7 @@ class Component:
             elif form == "span":
                 made |= dict.fromkeys((f"{name}_min", f"{name}_max"), TableField(form, unit, series))
             elif form == "cost":
-                units = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
-                made |= {coefficient: TableField(form, u, series) for coefficient, u in units.items()}
+                made |= {name: TableField(form, u, series) for name, u in COEFFICIENT_UNITS.items()}
         return made
 
     def constant(self, field: str) -> float:
