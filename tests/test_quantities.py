@@ -10,10 +10,14 @@ import pytest
 from hypothesis import given
 
 import opfmodel as om
+from opfmodel.check import check
+from opfmodel.cli import show
 from opfmodel.data.yaml import parse
 from opfmodel.errors import NetworkError, ScenarioError, UnitError
 from opfmodel.network.quantities import Basis, currency_fault, is_quantity, read_quantity
 from opfmodel.network.units import UNITS
+from opfmodel.results import figures
+from opfmodel.study.comparison import COSTS, Comparison, markdown
 
 GRID = """\
 currency: EUR
@@ -159,6 +163,34 @@ def test_the_currency_of_a_network_is_a_name() -> None:
     grid = om.Network()
     with pytest.raises(NetworkError, match="currency"):
         grid.currency = "EUR"
+
+
+def test_results_are_labelled_with_the_currency(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = om.load_scenario(path, overrides={"plant": "nominal", "cost": "economic"})
+    run = scenario.simulate()
+    plan = scenario.problem.solve()
+    units = [
+        str(values.attrs["units"])
+        for data in (run.data, plan.data)
+        for values in data.values()
+        if "units" in values.attrs
+    ]
+    assert {"EUR", "EUR/h", "EUR/MWh"} <= set(units)
+    assert not [unit for unit in units if "$" in unit]
+    report = check(scenario.network, run.data, scenario.profiles)
+    for printed in (repr(run), repr(plan), str(report)):
+        assert " EUR" in printed
+        assert "$" not in printed
+    labels = [axis.get_ylabel() for axis in figures.system(run.data).axes]
+    assert "cost [EUR/h]" in labels
+    comparison = Comparison("s", dict.fromkeys(COSTS, 1000.0), {}, {}, "EUR")
+    assert markdown([comparison]).startswith("| kEUR |")
+    assert comparison.as_dict()["currency"] == "EUR"
+    show.plan(plan, None, [], elastic=False)
+    show.comparisons([comparison])
+    out = capsys.readouterr().out
+    assert "kEUR" in out
+    assert "$" not in out
 
 
 NUMBERS = st.floats(-1e6, 1e6, allow_nan=False)
