@@ -63,14 +63,13 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
     """
     violation, cost = summary["max_violation"], summary["cost"]
     mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
+    currency = done.problem.network.currency
     print_notes(done.problem.notes)
     print_pairs(
         {
             "scenario": summary["scenario"],
             "status": "done" if done.status == "done" else f"{done.status}: {done.termination}",
-            "cost": "none"
-            if cost is None
-            else f"{cost:,.2f} {done.problem.network.currency} in {summary['steps']} steps",
+            "cost": "none" if cost is None else f"{cost:,.2f} {currency} in {summary['steps']} steps",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s maximum",
             "iterations": _mean(summary["iterations_mean"]),
             "max violation": "not checked" if violation is None else f"{violation:.1e} p.u.",

@@ -42,6 +42,8 @@ class Section(BaseModel):
 
 
 class TimeSection(Section):
+    start: str | None = Field(None, description="beginning of the first step, ISO 8601")
+    zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
     step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = 1.0
     steps: int = Field(1, ge=1)
 
