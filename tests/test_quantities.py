@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import hypothesis.strategies as st
 import pytest
+from conftest import ROOT
 from hypothesis import given
 
 import opfmodel as om
@@ -145,6 +147,16 @@ def test_a_value_in_another_currency_is_an_error_with_both(path: Path) -> None:
 def test_text_that_is_no_quantity_stays_refused(value: str, path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"energy: .*must be a number in MWh"):
         om.load_scenario(path, overrides={"network.storages.cell.energy": value})
+
+
+def test_the_example_of_the_page_on_inputs_is_read(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "inputs.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"## Units\n.*?```yaml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "grid.yaml").write_text(block)
+    options = dict(item.split("=") for item in re.findall(r'--set "([^"]+)"', page))
+    grid = om.load_scenario(tmp_path / "grid.yaml", overrides=options).network
+    assert grid["cell"] == om.Storage("a", energy=200, power=(-0.5, 50), charge_efficiency=0.95, initial=50)
+    assert grid["town"] == om.Load("a", p=200, q=20)
 
 
 def test_a_power_base_from_a_file_counts_for_per_unit_powers(tmp_path: Path, path: Path) -> None:
