@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from opfmodel.errors import ComponentError, ProfileError, nearest
 from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.describe import documented
 from opfmodel.network.fields import (
     INF,
     TableField,
@@ -60,8 +61,9 @@ class Component:
     """Base class of all components of a network.
 
     A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span`,
-    :func:`flag` and :func:`at_bus`. These describe how a field is checked, converted to per unit and
-    laid out in arrays; a new kind of component needs nothing else.
+    :func:`flag` and :func:`at_bus`. These state how a field is checked, converted to per unit and
+    laid out in arrays, and describe it in its docstring, in documentation and in the schema of scenario
+    files; a new kind of component needs nothing else.
 
     Attributes
     ----------
@@ -72,6 +74,12 @@ class Component:
     kind: ClassVar[str]
     plural: ClassVar[str]
     in_service: bool
+
+    def __init_subclass__(cls) -> None:
+        """Add a section on the parameters to the docstring, from the descriptions of the fields."""
+        super().__init_subclass__()
+        own = {name: item for name, item in vars(cls).items() if isinstance(item, Field)}
+        cls.__doc__ = documented(cls.__doc__, {**getattr(cls, "__dataclass_fields__", {}), **own})
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse unknown fields and suggest the closest known ones."""
