@@ -48,16 +48,17 @@ def without_index(
     if pandas is None:
         return dict(series), calendar
     made, calendars = {}, {}
-    known: dict[int, Calendar] = {}
+    known: list[tuple[Any, Calendar]] = []  # the columns of a frame share an index
     for name, values in series.items():
         made[name] = values
         if isinstance(values, pandas.Series):
             made[name] = values.to_numpy()
             index = values.index
             if isinstance(index, pandas.DatetimeIndex):
-                if id(index) not in known:  # that of a frame
-                    known[id(index)] = _calendar(name, index, calendar)
-                calendars[name] = known[id(index)]
+                found = next((own for other, own in known if other is index), None)
+                calendars[name] = found or _calendar(name, index, calendar)
+                if found is None:
+                    known.append((index, calendars[name]))
                 _check_missing(name, values.isna().to_numpy(), calendars[name])
             elif not pandas.api.types.is_integer_dtype(index.dtype):
                 raise ProfileError(
