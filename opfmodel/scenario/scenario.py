@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
@@ -41,6 +42,8 @@ class Scenario:
         The controller's forecast of the profiles.
     settings
         Validated content of the file.
+    grid
+        The steps that the time series cover.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Scenario:
     cost: Objective
     forecast: Forecast
     settings: ScenarioFile
+    grid: Grid
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property
