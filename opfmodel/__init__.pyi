@@ -15,6 +15,7 @@ from .network import (
 )
 from .data.series import Profiles as Profiles
 from .errors import OpfmodelError as OpfmodelError
+from .horizon import Horizon as Horizon
 from .forecasts import Forecast as Forecast
 from .model import (
     Elastic as Elastic,

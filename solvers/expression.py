@@ -181,12 +181,18 @@ class Expression(_Symbolic):
         Raises
         ------
         ProgramError
-            The key is not one of positions, slices and masks, or a position does not exist.
+            The key is not one of positions, slices and masks, or a position does not exist; or it is a
+            slice of stages that have no order in time.
         """
         keys = key if isinstance(key, tuple) else (key, slice(None))
         if len(keys) != 2:
             raise ProgramError(f"{key!r}: must select items, or items and stages, not {len(keys)} axes")
         rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
+        if isinstance(columns, slice) and columns != slice(None) and not self.builder.ordered:
+            raise ProgramError(
+                "a slice of stages has no meaning here: the stages are nodes of a tree, which do not follow "
+                "one another"
+            )
         old, new, leaves = [], [], {}
         try:
             shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape

@@ -177,7 +177,7 @@ def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnit
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
         price = np.zeros((len(network.branch), model.stages))
-        price[members] = read(solution, network) / model.step
+        price[members] = read(solution, network) / model.weight
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

@@ -107,15 +107,28 @@ class State:
 
 @dataclass(frozen=True)
 class BoundSource:
-    """Source of the bounds of a block, evaluated in every solve to follow the time series."""
+    """Source of the bounds of a block, evaluated in every solve to follow the time series.
+
+    Attributes
+    ----------
+    nodes
+        Node whose bounds apply to each column, if there is not one per node. Limits hold at the end of a
+        stage; those of the first one apply before it too, which is node -1.
+    """
 
     kind: str
     lower: Bound
     upper: Bound
+    nodes: Index | None = None
 
     def resolve(self, table: Table) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the bounds as arrays."""
-        return resolved(table, self.lower), resolved(table, self.upper)
+        """Return the bounds as arrays of one column, or of one per column of the block."""
+        return self._at_nodes(resolved(table, self.lower)), self._at_nodes(resolved(table, self.upper))
+
+    def _at_nodes(self, bound: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        if self.nodes is None or bound.ndim < 2 or bound.shape[1] == 1:
+            return bound
+        return np.asarray(bound[:, np.maximum(self.nodes, 0)])
 
 
 def resolved(table: Table, bound: Bound) -> npt.NDArray[Any]:

@@ -156,6 +156,27 @@ class Component:
                 made |= {coefficient: TableField(form, u, series) for coefficient, u in units.items()}
         return made
 
+    @classmethod
+    @cache
+    def over(cls, key: str) -> str:
+        """Return how a quantity of the arrays combines over several steps: ``mean``, ``min`` or ``max``.
+
+        Power, demand and cost are averaged, so that energy is kept; of limits the tighter counts.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Branch, Bus, Generator
+        >>> Generator.over("p_max"), Branch.over("rating"), Bus.over("vm_min")
+        ('mean', 'min', 'max')
+        """
+        known = cls.fields()
+        if key in known:
+            return str(known[key].metadata.get("over", "mean"))
+        stem, _, end = key.rpartition("_")
+        if end not in ("min", "max") or stem not in known or known[stem].metadata["averaged"]:
+            return "mean"
+        return "max" if end == "min" else "min"
+
     def constant(self, field: str) -> float:
         """Declared value of a quantity of the arrays, such as ``p``, ``p_max`` or ``c1``.
 

@@ -124,7 +124,7 @@ class Generator(Component):
     plural: ClassVar[str] = "generators"
 
     bus: str = at_bus()
-    p: tuple[float, float] = span("MW")
+    p: tuple[float, float] = span("MW", averaged=True)
     q: tuple[float, float] = span("MVAr", (-INF, INF))
     ramp: float | None = number("MW/h", None, at_least=0.0, optional=True, finite=False)
     cost: Cost = field(default=Polynomial(), metadata={"form": "cost", "unit": ""})
@@ -170,11 +170,11 @@ class Storage(Component):
     plural: ClassVar[str] = "storages"
 
     bus: str = at_bus()
-    energy: float = number("MWh", at_least=0.0)
+    energy: float = number("MWh", at_least=0.0, over="min")
     power: float | tuple[float, float] = span("MW", symmetric=True)
     q: float | tuple[float, float] = span("MVAr", (0.0, 0.0), symmetric=True)
     initial: float | None = number("MWh", None, at_least=0.0, optional=True, series=False)
-    energy_min: float = number("MWh", 0.0, at_least=0.0)
+    energy_min: float = number("MWh", 0.0, at_least=0.0, over="max")
     charge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
     discharge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
     standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, field
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, Literal, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 INF = math.inf
+Over = Literal["mean", "min", "max"]  # how the values of several steps make one
 
 
 def number(
@@ -41,6 +42,7 @@ def number(
     optional: bool = False,
     finite: bool = True,
     series: bool = True,
+    over: Over | None = None,
 ) -> Any:
     """Declare a field that holds one number.
 
@@ -56,6 +58,9 @@ def number(
         Whether infinity is refused. Where it is accepted, also in time series, it means "no limit".
     series
         Whether the field accepts a time series. Coefficients of equations must be constant.
+    over
+        Value over a stage of several steps: ``mean``, ``min`` or ``max``. By default the minimum of a field
+        that may be infinite, which is a limit, and the mean of all others.
     """
     metadata = {
         "form": "number",
@@ -66,6 +71,7 @@ def number(
         "optional": optional,
         "finite": finite,
         "series": series,
+        "over": over or ("mean" if finite else "min"),
     }
     return field(default=default, metadata=metadata)
 
@@ -77,6 +83,7 @@ def span(
     at_least: float = -INF,
     symmetric: bool = False,
     series: bool = True,
+    averaged: bool = False,
 ) -> Any:
     """Declare a field that holds ``(min, max)``, with arrays ``<field>_min`` and ``<field>_max``.
 
@@ -86,8 +93,17 @@ def span(
         Whether a single number ``a`` stands for ``(-a, a)``.
     series
         As for :func:`number`.
+    averaged
+        Whether a stage of several steps takes the mean of each limit; by default the tighter counts.
     """
-    metadata = {"form": "span", "unit": unit, "at_least": at_least, "symmetric": symmetric, "series": series}
+    metadata = {
+        "form": "span",
+        "unit": unit,
+        "at_least": at_least,
+        "symmetric": symmetric,
+        "series": series,
+        "averaged": averaged,
+    }
     return field(default=default, metadata=metadata)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from typing import Any
@@ -21,9 +21,10 @@ from opfmodel.errors import (
     shown,
 )
 from opfmodel.formulations.base import Formulation
+from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
-from opfmodel.network.bounds import STEP_HOURS, integer, number_within
+from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series, fields_with_series, widest, window
 from opfmodel.network.units import scale
@@ -31,6 +32,7 @@ from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
+from opfmodel.plan.nodes import at_nodes, moved, over_nodes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Limits, Request
@@ -42,11 +44,12 @@ from solvers.interrupt import interruptible
 __all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
+Fields = dict[tuple[str, str], Array]
 
 # What a program is compiled from; the constraints are added by a method.
 _STATED = frozenset(
     (
-        "network", "horizon", "step", "arrays", "formulation", "objective", "profiles", "generator_delay",
+        "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
         "end", "regularisation", "elastic", "devices", "solver", "options", "verbose",
     )
 )  # fmt: skip
@@ -60,9 +63,10 @@ class MultiStage:
     network
         The network.
     horizon
-        Number of stages; 1 is an ordinary optimal power flow.
+        Number of stages, where 1 is an ordinary optimal power flow; or a :class:`opfmodel.Horizon`: an uneven
+        grid or a tree of scenarios.
     step
-        Length of a stage in hours.
+        Length of a stage in hours, if the horizon is a number of stages.
     formulation
         Name or instance of a formulation.
     objective
@@ -108,8 +112,8 @@ class MultiStage:
     def __init__(
         self,
         network: Network,
-        horizon: int = 1,
-        step: float = 1.0,
+        horizon: int | Horizon = 1,
+        step: float | None = None,
         *,
         formulation: str | Formulation = "ac",
         objective: Objective | None = None,
@@ -123,7 +127,6 @@ class MultiStage:
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
     ) -> None:
-        shortest, longest = STEP_HOURS
         if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
         if not isinstance(network, Network):
@@ -138,12 +141,11 @@ class MultiStage:
                     f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
                 )
         self.network = network.copy()  # what is changed from now on is for other problems
-        self.horizon = integer("horizon", horizon, at_least=1)
-        self.step = number_within("step", step, at_least=shortest, at_most=longest)
+        self.horizon = _horizon(horizon, step)
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
-        needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
-        check_memory(f"horizon = {horizon:,}", needed)
+        needed = problem_bytes(self.arrays.n_components, self.stages, self.formulation.reactive)
+        check_memory(f"horizon = {self.stages:,}", needed)
         self.objective = Economic() if objective is None else objective
         self.profiles = Profiles.of(profiles)
         check_series(self.profiles, network)
@@ -170,11 +172,20 @@ class MultiStage:
         super().__setattr__(name, value)
 
     def __repr__(self) -> str:
-        noun = "stage" if self.horizon == 1 else "stages"
         return (
-            f"MultiStage({self.network.name!r}: {self.horizon} {noun} of {self.step:g} h, "
-            f"{self.formulation.name}, {type(self.objective).__name__})"
+            f"MultiStage({self.network.name!r}: {self.horizon}, {self.formulation.name}, "
+            f"{type(self.objective).__name__})"
         )
+
+    @property
+    def stages(self) -> int:
+        """Number of stages, which are the nodes of the horizon."""
+        return len(self.horizon)
+
+    @property
+    def step(self) -> float:
+        """Length of a base step in hours: that of the time series, and of a closed loop."""
+        return self.horizon.base
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -253,7 +264,7 @@ class MultiStage:
         elastic: Elastic | None,
         objective: Objective | None = None,
         rationed: bool = False,
-        horizon: int | None = None,
+        horizon: Horizon | None = None,
         split_shedding: bool = False,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
@@ -263,7 +274,7 @@ class MultiStage:
         rationed
             Whether every solve limits the penalty.
         horizon
-            Number of stages, if it differs.
+            The horizon, if it differs.
         split_shedding
             Whether active and reactive demand may be shed in different shares.
         """
@@ -314,7 +325,7 @@ class MultiStage:
         metered
             Objective that evaluates the realised costs; by default that of the problem.
         """
-        planned = steps + self.horizon - 1
+        planned = steps + self.horizon.steps - 1
         lengths = [("time series", self.profiles.length, planned)]
         lengths += [(f"constraint {name!r}", own.length, planned) for name, own in self.constraints.items()]
         for objective, needed in ((self.objective, planned), (metered or self.objective, steps)):
@@ -324,12 +335,12 @@ class MultiStage:
         for what, length, needed in lengths:
             if length is not None and length < needed:
                 raise ModelError(
-                    f"{steps} steps with a horizon of {self.horizon} need {what} of {needed} values; "
+                    f"{steps} steps with a horizon of {self.horizon.steps} need {what} of {needed} values; "
                     f"the shortest has {length}; extend the series, or reduce the horizon or the steps"
                 )
 
-    def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
-        """Return the network with the time series of ``stages`` steps from ``start``.
+    def window(self, start: int, steps: int, objective: Objective | None = None) -> PerUnitNetwork:
+        """Return the network with the time series of ``steps`` base steps from ``start``.
 
         Parameters
         ----------
@@ -341,20 +352,44 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        series = window(self.profiles, self.arrays, start, stages)
-        objective = self.objective if objective is None else objective
+        return self.arrays.with_series(self._window(start, steps, objective or self.objective))
+
+    def ahead(self, time: int) -> PerUnitNetwork:
+        """Return the network with the data at the nodes of the horizon that begins at step ``time``."""
+        known = self._window(time, self.horizon.steps, self.objective)
+        return self.arrays.with_series(over_nodes([known], self.horizon, self.arrays))
+
+    def expected(self, futures: Sequence[Profiles]) -> Fields:
+        """Return expected series at the nodes of the horizon, as :meth:`solve` takes them.
+
+        Parameters
+        ----------
+        futures
+            Series of ``horizon.steps`` values, one set per future of the horizon or one for all.
+
+        Returns
+        -------
+        dict
+            Arrays ``(items, nodes)`` in per unit by ``(kind, field)``.
+        """
+        ahead = [window(own, self.arrays, 0, self.horizon.steps) for own in futures]
+        return over_nodes(ahead, self.horizon, self.arrays)
+
+    def _window(self, start: int, steps: int, objective: Objective) -> Fields:
+        """Return the series of the profiles and of an objective, ``(items, steps)`` per unit."""
+        series = window(self.profiles, self.arrays, start, steps)
         for key, values in self._series_of(objective).items():
             known = values.shape[1]
             if known == 1:
-                series[key] = np.repeat(values, stages, axis=1)
-            elif known < start + stages:
+                series[key] = np.repeat(values, steps, axis=1)
+            elif known < start + steps:
                 raise ModelError(
                     f"{type(objective).__name__}: {key[1]} has {known} values; "
-                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                    f"steps {start} to {start + steps - 1} need {start + steps}"
                 )
             else:
-                series[key] = values[:, start : start + stages]
-        return self.arrays.with_series(series)
+                series[key] = values[:, start : start + steps]
+        return series
 
     @cached_property
     def _objective_series(self) -> Mapping[tuple[str, str], Array]:
@@ -371,21 +406,21 @@ class MultiStage:
         """Declarations of the formulation and the devices; compiles the problem if necessary."""
         return self._compiled[0]
 
-    def declare(self, stages: int | None = None) -> Model:
+    def declare(self, horizon: Horizon | None = None) -> Model:
         """Return the declarations of formulation and devices, without objective and constraints; uncached.
 
         A kind without components in service publishes its quantities, all empty, if the objective needs one.
 
         Parameters
         ----------
-        stages
-            Number of stages, if it differs from the horizon.
+        horizon
+            The horizon, if it differs.
         """
         own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
             self.arrays.with_series({**widest(self.profiles, self.arrays), **own}),
-            self.horizon if stages is None else stages,
-            self.step,
+            self.horizon if horizon is None else horizon,
+            delay=self.generator_delay,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
             series={*fields_with_series(self.profiles, self.arrays), *own},
@@ -453,10 +488,11 @@ class MultiStage:
         )
 
     def _minimize(self, model: Model) -> None:
-        for what, weight in (("stage_cost", self.step), ("terminal_cost", 1.0)):
+        last = model.horizon.probability[model.horizon.leaves]
+        for what, weight in (("stage_cost", model.weight), ("terminal_cost", last)):
             cost = getattr(self.objective, what)(model)
             if isinstance(cost, Expression | Sum):
-                model.build.minimize(weight * cost)
+                model.build.minimize(np.reshape(weight, (1, -1)) * cost)
             elif cost is not None:
                 raise ModelError(
                     f"objective {type(self.objective).__name__}: {what} = {shown(cost)}: "
@@ -544,7 +580,7 @@ class MultiStage:
             if key not in model.series:
                 known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
                 raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
-        network = self.window(time, self.horizon).with_series(request.expected or {})
+        network = self.ahead(time).with_series(request.expected or {})
         numbers = Numbers(model, program, network)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
@@ -560,12 +596,16 @@ class MultiStage:
                     values = values / scale(state.unit, table.base_mva)
             else:
                 values = table.arrays[state.initial][:, 0] if state.initial else None
-            numbers.start_from(state.name, values, self.generator_delay)
+            numbers.start_from(state.name, values)
             numbers.end_with(state.name, end)
         for constraint in self.constraints.values():
             if constraint.limited:
-                low, high = constraint.window(time, self.horizon)
-                numbers.limit(constraint.rows, low[None, :], high[None, :])
+                low, high = constraint.window(time, self.horizon.steps)
+                numbers.limit(
+                    constraint.rows,
+                    at_nodes([low[None, :]], self.horizon, "max"),
+                    at_nodes([high[None, :]], self.horizon, "min"),
+                )
         for name, (lower, upper) in (limits or {}).items():
             numbers.limit(name, lower, upper)
         instance = numbers.instance()
@@ -574,13 +614,22 @@ class MultiStage:
         return Plan(self, model, solution, network, request)
 
 
+def _horizon(given: int | Horizon, step: float | None) -> Horizon:
+    """Return a horizon, from its number of stages and their length if it is not one."""
+    if not isinstance(given, Horizon):
+        return Horizon.chain(given, 1.0 if step is None else step)
+    if step is not None and step != given.base:
+        raise ModelError(f"step = {step!r}: the horizon has steps of {given.base:g} h; omit it")
+    return given
+
+
 def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    moved = previous.solution.shifted(time - previous.time)
+    start = moved(previous.solution, previous.model.horizon, time - previous.time)
     if previous.solution.program is not program:  # from another elastic variant of the problem
-        return Start(moved.x) if moved.x.size == program.n_variables else None
-    return moved if multipliers else Start(moved.x)
+        return Start(start.x) if start.x.size == program.n_variables else None
+    return start if multipliers else Start(start.x)
 
 
 def _numbers(state: str, given: npt.ArrayLike) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
 from opfmodel.network.arrays import PerUnitNetwork
@@ -92,17 +93,37 @@ class Plan:
         """Value of the objective in $ over the horizon, without regularisation; NaN unless optimal."""
         if not self.optimal:
             return np.nan
+        return float(np.sum(self.horizon.probability * self.node_costs))
+
+    @cached_property
+    def node_costs(self) -> Array:
+        """Cost of each node in $, the terminal cost of its scenario included; NaN unless optimal."""
+        horizon, objective = self.horizon, self.problem.objective
+        if not self.optimal:
+            return np.full(len(horizon), np.nan)
         stage = self.stage
-        cost = self.problem.objective.stage_cost(stage)
-        value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
-        terminal = self.problem.objective.terminal_cost(stage)
-        return value + (0.0 if terminal is None else float(np.sum(terminal)))
+        cost, terminal = objective.stage_cost(stage), objective.terminal_cost(stage)
+        made = np.zeros(len(horizon)) if cost is None else horizon.hours * cost
+        if terminal is not None:
+            made[horizon.leaves] += terminal
+        return np.asarray(made)
+
+    @property
+    def scenario_costs(self) -> dict[str, float]:
+        """Cost of each scenario in $, from the measured state to the end of the horizon."""
+        paths = zip(self.horizon.scenarios, self.horizon.paths, strict=True)
+        return {name: float(self.node_costs[path].sum()) for name, path in paths}
+
+    @property
+    def horizon(self) -> Horizon:
+        """The nodes in time that the plan covers."""
+        return self.model.horizon
 
     @cached_property
     def stage(self) -> NumericStage:
         """The published quantities of the plan as numbers in per unit, for evaluating costs."""
         published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
-        return NumericStage(self.network, self.problem.step, published, self.model.devices)
+        return NumericStage(self.network, self.model.step, published, self.model.devices, self.horizon)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """Return all published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
@@ -122,7 +143,7 @@ class Plan:
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """Return the limit violations of an elastic plan, p.u., in the form of :meth:`quantities`."""
-        network, stages = self.network, self.problem.horizon
+        network, stages = self.network, self.problem.stages
         return {
             (slack.kind, name): slack.spread(
                 self.solution.value(name), len(network.tables[slack.kind]), stages
@@ -147,8 +168,8 @@ class Plan:
         prices = self.problem.elastic
         if prices is None or not self.short:
             return ()
-        slacks, step = self.model.slacks.values(), self.problem.step
-        return shortages(slacks, shortfall_due(self), self.network, prices, step, self.times)
+        slacks = self.model.slacks.values()
+        return shortages(slacks, shortfall_due(self), self.network, prices, self.horizon, self.times)
 
     @property
     def penalty(self) -> float:
@@ -172,17 +193,18 @@ class Plan:
         if not self.optimal:
             raise ModelError(f"the plan from step {self.time} is {self.status}: it has no next state")
         out = {}
-        committed = self.problem.generator_delay == 1
+        committed = self.model.delay == 1
+        after = np.flatnonzero(self.horizon.parent == 0)  # siblings share what is committed
         for state in self.model.states.values():
             name = f"{state.name}_next" if state.role == "stock" else state.name
             if happened is not None and (state.role == "stock" or not committed):
                 values = happened[state.kind, name]
             elif state.role == "stock" or not committed:
                 values = self.solution.value(name)[:, 0]
-            elif self.problem.horizon == 1:
+            elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:
-                values = self.solution.value(name)[:, 1]
+                values = self.solution.value(name)[:, after[0]]
             out[state.name] = values * scale(state.unit, self.network.base_mva)
         return out
 
@@ -255,8 +277,7 @@ class Plan:
     @property
     def times(self) -> Array:
         """Hours at which the stages begin."""
-        stages = np.arange(self.problem.horizon, dtype=float)
-        return (self.time + stages) * self.problem.step
+        return self.time * self.horizon.base + self.horizon.begins
 
 
 def penalty_outputs(model: Model) -> list[str]:

@@ -14,7 +14,7 @@ from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, listed, shown
 from opfmodel.forecasts.base import Forecast
 from opfmodel.model import Elastic
-from opfmodel.network.series import check_finite, window
+from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
 from solvers import SolutionStatus
 
@@ -138,7 +138,7 @@ class Controller:
         if self.forecast is None:
             return None
         problem = self.problem
-        expected = Profiles.of(self.forecast.expected(problem.profiles, time, problem.horizon))
+        expected = Profiles.of(self.forecast.expected(problem.profiles, time, problem.horizon.steps))
         where = f"forecast {type(self.forecast).__name__} at step {time}"
         differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
         if differing:
@@ -150,7 +150,7 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
-        ahead = window(expected, problem.arrays, 0, problem.horizon)
+        ahead = problem.expected([expected])
         if ("generator", "p_max") in ahead:  # never below minimum output
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
             ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
