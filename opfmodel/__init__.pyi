@@ -37,6 +37,7 @@ from .plan import (
     End as End,
     MultiStage as MultiStage,
     Plan as Plan,
+    Risk as Risk,
 )
 from .plan.single_stage import (
     SingleStageSequence as SingleStageSequence,

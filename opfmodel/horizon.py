@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -46,6 +46,8 @@ class Horizon:
         Name of the future of each node, empty for nodes that all futures share.
     base
         Length of a base step, h: that of the time series and of the closed loop.
+    varying
+        Whether each solve may state other probabilities; see :meth:`with_probabilities`.
     """
 
     parent: Index
@@ -55,6 +57,7 @@ class Horizon:
     series: Index
     scenario: tuple[str, ...]
     base: float
+    varying: bool = False
 
     # Making ------------------------------------------------------------------------------
 
@@ -101,6 +104,7 @@ class Horizon:
         scenarios: Mapping[str, float],
         common: int = 0,
         step: float | None = None,
+        varying: bool = False,
     ) -> Self:
         """Return a tree whose scenarios share their first nodes and are chains after that.
 
@@ -114,6 +118,8 @@ class Horizon:
             Number of nodes at the beginning that all scenarios share; 0: each begins at the measured state.
         step
             As for :meth:`grid`.
+        varying
+            Whether each solve may state other probabilities.
 
         Raises
         ------
@@ -148,7 +154,22 @@ class Horizon:
             series=np.concatenate([np.zeros(shared), branch]).astype(np.intp),
             scenario=(*[names[0] if len(names) == 1 else ""] * shared, *(names[b] for b in branch)),
             base=base,
+            varying=varying,
         )
+
+    def with_probabilities(self, scenarios: Sequence[float]) -> Self:
+        """Return the same nodes with other probabilities of the scenarios, in the order of the leaves."""
+        names = [str(number) for number in range(len(scenarios))]
+        _, shares = _probabilities(dict(zip(names, scenarios, strict=True)))
+        probability = np.zeros(len(self))
+        for path, share in zip(self.paths, shares, strict=True):
+            probability[path] += share
+        return replace(self, probability=probability)
+
+    def same_nodes(self, other: Horizon) -> bool:
+        """Return whether another horizon differs in probabilities alone."""
+        mine, theirs = (self.parent, self.lengths, self.series), (other.parent, other.lengths, other.series)
+        return self.base == other.base and all(map(np.array_equal, mine, theirs))
 
     # Structure ---------------------------------------------------------------------------
 

@@ -175,6 +175,11 @@ class Expression(_Symbolic):
         """Number of stages."""
         return self.shape[1]
 
+    @property
+    def varies(self) -> bool:
+        """Whether it depends on variables, and not on parameters and numbers alone."""
+        return any(leaf.kind == "variable" for leaf in self.leaves.values())
+
     def __getitem__(self, key: Any) -> Expression:
         """Select items, or items and stages, as in a two-dimensional NumPy array.
 
@@ -352,8 +357,10 @@ class Sum(_Symbolic):
         return (-self).__add__(other)
 
     def __mul__(self, other: Any) -> Sum:
+        if isinstance(other, Expression) and other.items == 1 and not other.varies:
+            return Sum(tuple(term * other for term in self.spread()))
         if isinstance(other, Sum | Expression):
-            raise ProgramError("a sum can only be multiplied by numbers")
+            raise ProgramError("a sum can only be multiplied by numbers, or by one parameter per stage")
         factor = np.asarray(other, dtype=float)
         factor = factor.reshape(1, -1) if factor.ndim < 2 else factor
         return Sum(tuple(term * factor for term in self.terms))

@@ -53,9 +53,10 @@ class StorageDevice(Device):
         model.price(
             "storage",
             "e_price",
-            lambda solution, _: solution.dual("e_dynamics") / model.horizon.probability,
+            lambda solution, _: solution.dual("e_dynamics"),
             "$/MWh",
             "value of one more MWh stored at the end of the stage",
+            rate=False,
         )
         kept = 1.0 - step * table.standing_loss
         gone = np.flatnonzero((kept < 0.0).any(axis=1))

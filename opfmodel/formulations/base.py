@@ -173,11 +173,11 @@ def limit_flows(model: Model, **flows: Expression) -> None:
 
 
 def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnitNetwork], Array]) -> None:
-    """Report the value of one more MVA of rating; ``read`` returns it for the branches ``members``."""
+    """Report the value of one more MVA of rating; ``read`` returns that of the branches ``members``."""
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
         price = np.zeros((len(network.branch), model.stages))
-        price[members] = read(solution, network) / model.weight
+        price[members] = read(solution, network)
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
@@ -44,13 +45,24 @@ class Price:
     Attributes
     ----------
     read
-        Function that returns the price as an array ``(items, stages)`` in $ and per unit.
+        Function that returns the price as an array ``(items, stages)`` in $ and per unit: the change of the
+        objective, in which stages weigh with their probability and, if ``rate``, with their length.
+    rate
+        Whether the price is that of one more unit over an hour, as of power, and not of one more unit once,
+        as of stored energy.
     """
 
     kind: str
     unit: str
     description: str
     read: Callable[[Solution, PerUnitNetwork], Array]
+    rate: bool = True
+
+    def values(self, solution: Solution, network: PerUnitNetwork, horizon: Horizon) -> Array:
+        """Return the price in every stage, given that this stage occurs; zero if it cannot."""
+        weights = horizon.weights if self.rate else horizon.probability
+        total = self.read(solution, network)
+        return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
 
 @dataclass(frozen=True)

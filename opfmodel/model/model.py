@@ -71,7 +71,8 @@ class Model:
     step
         Length of each node in hours: a number if all are equal, else an array ``(1, stages)``.
     weight
-        Probability times length of each node, in h, in the form of ``step``.
+        Probability times length of each node, in h: a number if all are equal, an array ``(1, stages)``, or a
+        parameter if the probabilities may vary.
     series
         Fields that have time series, by ``(kind, field)``.
     slacks
@@ -106,10 +107,15 @@ class Model:
         self.delay = delay
         self.stages = stages = len(horizon)
         self.step = _per_node(horizon.hours)
-        self.weight = _per_node(horizon.weights)
         self.reactive = reactive
         self.zones = zones
         self.build = ProgramBuilder(f"{network.name}, {horizon}", ordered=horizon.is_chain)
+        self.probability = (
+            self.build.parameter("probability", 1, stages, horizon.probability)
+            if horizon.varying
+            else horizon.probability[None, :]
+        )
+        self.weight = self._hours_of(np.arange(stages))
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -272,6 +278,7 @@ class Model:
         self.price(
             kind, f"{name}_ramp_price", self._ramp_price(name, len(self.network.tables[kind]), ramped),
             "$/MW", "value of one more MW of change since the previous stage",
+            rate=False,
         )  # fmt: skip
 
     def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
@@ -281,7 +288,7 @@ class Model:
             if horizon.inner.size:
                 price[np.ix_(ramped, horizon.inner)] = np.abs(solution.dual(f"{name}_ramp"))
             price[np.ix_(ramped, horizon.roots)] = np.abs(solution.dual(f"{name}_ramp_first"))
-            return price / horizon.probability
+            return price
 
         return read
 
@@ -324,7 +331,7 @@ class Model:
         )  # fmt: skip
         self.soften(kind, cyclic, tied, nodes=horizon.leaves)
         worth = self.build.parameter(f"{name}_end_price", 1) * last
-        self.build.minimize(-_per_node(horizon.probability[horizon.leaves]) * worth)
+        self.build.minimize(-self.probability_of(horizon.leaves) * worth)
         self.states[name] = State(name, kind, unit, "stock", initial)
         return start, end
 
@@ -378,7 +385,7 @@ class Model:
         the user chooses the weight.
         """
         if self.regularisation:
-            self.build.minimize(self.regularisation * self.weight * total(values**2))
+            self.build.minimize(self.regularisation * total(values**2) * self.weight)
 
     # Soft limits -------------------------------------------------------------------------
 
@@ -438,16 +445,26 @@ class Model:
         self.penalties.append(cost)
         self.build.minimize(cost)
 
-    def penalty(self, soft: Soft, nodes: Index | None = None) -> float | Array:
+    def probability_of(self, nodes: Index) -> Any:
+        """Return the probability of nodes, in the form of :attr:`weight`."""
+        chosen = self.probability[:, nodes]
+        return chosen if isinstance(chosen, Expression) else _per_node(chosen[0])
+
+    def _hours_of(self, nodes: Index) -> Any:
+        """Return probability times length of nodes, in the form of :attr:`weight`."""
+        if isinstance(self.probability, Expression):
+            return self.probability[:, nodes] * self.horizon.hours[None, nodes]
+        return _per_node(self.horizon.weights[nodes])
+
+    def penalty(self, soft: Soft, nodes: Index | None = None) -> Any:
         """Return the penalty in $ of one internal unit of a soft limit over each stage.
 
         Values before the first stage weigh as much as those of the first one.
         """
         assert self.elastic is not None
         unit = self.network.base_mva if soft.unit else 1.0
-        weights = self.horizon.weights if nodes is None else self.horizon.weights[np.maximum(nodes, 0)]
-        price: float | Array = soft.share * getattr(self.elastic, soft.price) * unit * _per_node(weights)
-        return price
+        weights = self.weight if nodes is None else self._hours_of(np.maximum(nodes, 0))
+        return soft.share * float(getattr(self.elastic, soft.price)) * unit * weights
 
     def _soften_balance(self) -> None:
         """Add penalised slack injections and withdrawals at every bus, or in every zone."""
@@ -546,14 +563,15 @@ class Model:
         read: Callable[[Solution, PerUnitNetwork], Array],
         unit: str,
         description: str,
+        rate: bool = True,
     ) -> None:
-        """Name a shadow price: the value of one more unit, independent of the back end."""
+        """Name a shadow price, the value of one more unit; ``read`` and ``rate`` as in :class:`Price`."""
         self._name(name)
-        self.prices[name] = Price(kind, unit, description, read)
+        self.prices[name] = Price(kind, unit, description, read, rate)
 
     def _balance_price(self, rows: str) -> Callable[[Solution, PerUnitNetwork], Array]:
         # more demand lowers the right-hand side of the balance
-        return lambda solution, _: -solution.dual(rows)[self.zones] / self.weight
+        return lambda solution, _: -solution.dual(rows)[self.zones]
 
     # Access to declared quantities -------------------------------------------------------
 

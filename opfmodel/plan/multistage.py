@@ -37,6 +37,7 @@ from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
+from opfmodel.plan.risk import Risk
 from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
 from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
 from solvers.interrupt import interruptible
@@ -50,7 +51,7 @@ Fields = dict[tuple[str, str], Array]
 _STATED = frozenset(
     (
         "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "devices", "solver", "options", "verbose",
+        "end", "regularisation", "elastic", "risk", "devices", "solver", "options", "verbose",
     )
 )  # fmt: skip
 
@@ -85,6 +86,8 @@ class MultiStage:
     elastic
         Penalty prices of soft limits, with which there is always a solution; see :class:`Elastic`.
         By default every limit is hard.
+    risk
+        Risk aversion over the scenarios of a tree; by default the expected cost is minimised.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     solver, options
@@ -122,6 +125,7 @@ class MultiStage:
         end: End | None = None,
         regularisation: float | None = None,
         elastic: Elastic | None = None,
+        risk: Risk | None = None,
         devices: Iterable[Device] = (),
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
@@ -135,6 +139,7 @@ class MultiStage:
             ("objective", objective, Objective),
             ("end", end, End),
             ("elastic", elastic, Elastic),
+            ("risk", risk, Risk),
         ):
             if not (value is None or isinstance(value, kind)):
                 raise ModelError(
@@ -157,6 +162,7 @@ class MultiStage:
             else number_within("regularisation", regularisation, at_least=0)
         )
         self.elastic = elastic
+        self.risk = risk
         self.devices = make_devices(self.arrays, devices)
         self.solver = solver
         self.options = dict(options or {})
@@ -488,16 +494,22 @@ class MultiStage:
         )
 
     def _minimize(self, model: Model) -> None:
-        last = model.horizon.probability[model.horizon.leaves]
-        for what, weight in (("stage_cost", model.weight), ("terminal_cost", last)):
+        share = 1.0 if self.risk is None else 1.0 - self.risk.weight
+        weights = {"stage": model.weight, "terminal": model.probability_of(model.horizon.leaves)}
+        parts = []
+        for part, weight in weights.items():
+            what = f"{part}_cost"
             cost = getattr(self.objective, what)(model)
             if isinstance(cost, Expression | Sum):
-                model.build.minimize(np.reshape(weight, (1, -1)) * cost)
+                model.build.minimize(cost * (share * weight))
+                parts.append((part, cost))
             elif cost is not None:
                 raise ModelError(
                     f"objective {type(self.objective).__name__}: {what} = {shown(cost)}: "
                     "must be a quantity or total of the stage, or None"
                 )
+        if self.risk is not None and self.risk.weight:
+            self.risk.minimise(model, parts)
 
     def _constrain(self, model: Model, constraint: CustomConstraint) -> None:
         try:
@@ -518,6 +530,7 @@ class MultiStage:
         end: End | None = None,
         multipliers: bool = True,
         expected: Mapping[tuple[str, str], Array] | None = None,
+        horizon: Horizon | None = None,
     ) -> Plan:
         """Solve for the stages from ``time`` on.
 
@@ -538,7 +551,9 @@ class MultiStage:
             primal point is used.
         expected
             Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
-            in place of those of the profiles or the objective; for instance a forecast.
+            in place of those of the profiles or the objective; for instance a forecast, see :meth:`expected`.
+        horizon
+            The horizon with other probabilities, if it declares that they vary.
 
         Returns
         -------
@@ -546,7 +561,8 @@ class MultiStage:
             Also if the solver fails; see :attr:`Plan.status`. For an elastic problem, the cheapest of the
             plans with the minimum penalty.
         """
-        request = Request(time, initial, self.end if end is None else end, expected)
+        nodes = self.horizon if horizon is None else horizon
+        request = Request(time, initial, self.end if end is None else end, expected, nodes)
         plan = self.solve_once(request, previous, multipliers)
         certain = self.elastic is None or (plan.optimal and not plan.short)
         return plan if certain else without_outbidding(self, plan)
@@ -566,27 +582,12 @@ class MultiStage:
             Bounds of rows and variables, by block, in place of those of the request.
         """
         time, initial, end = request.time, request.initial, request.end
-        integer("time", time, at_least=0)
         model, program, session = self._compiled
-        if previous is not None and not isinstance(previous, Plan):
-            raise ModelError(f"previous = {shown(previous)}: must be a plan")
-        if (
-            previous is not None
-            and previous.problem is not self
-            and previous.solution.x.size != program.n_variables
-        ):
-            raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
-        for key in request.expected or {}:
-            if key not in model.series:
-                known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
-                raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
+        self._check_request(request, previous)
         network = self.ahead(time).with_series(request.expected or {})
         numbers = Numbers(model, program, network)
-        states = {name: None for name in (initial or {}) if name not in model.states}
-        if states:
-            raise ModelError(
-                f"initial: no state is named {next(iter(states))!r}; states: {', '.join(model.states)}"
-            )
+        if model.horizon.varying:
+            numbers.parameters["probability"] = request.horizon.probability
         for state in model.states.values():
             table = network.tables[state.kind]
             if initial is not None and state.name in initial:
@@ -612,6 +613,31 @@ class MultiStage:
         start = _start(previous, program, time, multipliers)
         solution = session.solve(instance, start)
         return Plan(self, model, solution, network, request)
+
+    def _check_request(self, request: Request, previous: Plan | None) -> None:
+        """Raise :class:`ModelError` for arguments of a solve that do not fit the compiled problem."""
+        model, program, _ = self._compiled
+        integer("time", request.time, at_least=0)
+        if previous is not None and not isinstance(previous, Plan):
+            raise ModelError(f"previous = {shown(previous)}: must be a plan")
+        if (
+            previous is not None
+            and previous.problem is not self
+            and previous.solution.x.size != program.n_variables
+        ):
+            raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
+        for key in request.expected or {}:
+            if key not in model.series:
+                known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
+                raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
+        for name in request.initial or {}:
+            if name not in model.states:
+                raise ModelError(f"initial: no state is named {name!r}; states: {', '.join(model.states)}")
+        own = model.horizon
+        if request.horizon is not own and not (own.varying and own.same_nodes(request.horizon)):
+            raise ModelError(
+                "horizon: may differ from that of the problem in probabilities alone, if these are varying"
+            )
 
 
 def _horizon(given: int | Horizon, step: float | None) -> Horizon:

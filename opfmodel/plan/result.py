@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.errors import IncompatibleError, ModelError, nearest
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
@@ -90,7 +90,19 @@ class Plan:
 
     @cached_property
     def objective(self) -> float:
-        """Value of the objective in $ over the horizon, without regularisation; NaN unless optimal."""
+        """What is minimised, in $ over the horizon, without regularisation; NaN unless optimal.
+
+        Includes risk aversion; :attr:`expected_cost` does not.
+        """
+        risk = self.problem.risk
+        if risk is None:
+            return self.expected_cost
+        last = self.horizon.probability[self.horizon.leaves]
+        return risk.measure(np.array(list(self.scenario_costs.values())), last)
+
+    @property
+    def expected_cost(self) -> float:
+        """Mean cost of the scenarios in $ over the horizon, without regularisation; NaN unless optimal."""
         if not self.optimal:
             return np.nan
         return float(np.sum(self.horizon.probability * self.node_costs))
@@ -117,7 +129,7 @@ class Plan:
     @property
     def horizon(self) -> Horizon:
         """The nodes in time that the plan covers."""
-        return self.model.horizon
+        return self.request.horizon
 
     @cached_property
     def stage(self) -> NumericStage:
@@ -229,7 +241,12 @@ class Plan:
 
     @cached_property
     def data(self) -> xr.Dataset:
-        """All published quantities and the demand, in physical units, over ``time`` and components."""
+        """All published quantities and the demand, in physical units, over ``time`` and components.
+
+        Over ``node`` in place of time if the horizon is a tree, with the coordinates ``time``, ``parent``,
+        ``probability`` and ``scenario``; see :meth:`scenario`. Stages of different lengths have the
+        coordinate ``hours``.
+        """
         from opfmodel.results import dataset
 
         described = self.problem.described
@@ -247,11 +264,30 @@ class Plan:
             "cost": self.objective,
         }
         made.attrs |= self.relaxation
-        return made
+        return _with_nodes(made, self.horizon)
+
+    def scenario(self, name: str) -> xr.Dataset:
+        """Return the quantities of one scenario over ``time``, from the measured state to the end.
+
+        Raises
+        ------
+        ModelError
+            There is no scenario of that name.
+        """
+        horizon = self.horizon
+        if name not in horizon.scenarios:
+            raise ModelError(f"scenario {name!r}: no such scenario; {nearest(name, horizon.scenarios)}")
+        if horizon.is_chain:
+            return self.data
+        path = horizon.paths[horizon.scenarios.index(name)]
+        made = self.data.isel(node=path).swap_dims(node="time")
+        return made.drop_vars(["node", "parent", "probability", "scenario"]).assign_attrs(
+            scenario=name, cost=self.scenario_costs[name]
+        )
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        return self.model.prices[name].read(self.solution, self.network)
+        return self.model.prices[name].values(self.solution, self.network, self.horizon)
 
     def prices(self) -> dict[tuple[str, str], Array]:
         """Return all shadow prices by ``(kind, name)``; see :meth:`price`."""
@@ -278,6 +314,24 @@ class Plan:
     def times(self) -> Array:
         """Hours at which the stages begin."""
         return self.time * self.horizon.base + self.horizon.begins
+
+
+def _with_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:
+    """Add the lengths of uneven stages; of a tree, turn the dimension ``time`` into nodes."""
+    if not horizon.is_even:
+        data = data.assign_coords(
+            hours=("time", horizon.hours, {"units": "h", "long_name": "length of the stage"})
+        )
+    if horizon.is_chain:
+        return data
+    of_node = {
+        "node": np.arange(len(horizon)),
+        "parent": ("node", horizon.parent, {"long_name": "node before, -1 for the measured state"}),
+        "probability": ("node", horizon.probability),
+        "scenario": ("node", np.array(horizon.scenario, dtype=str)),
+    }
+    loose = data.rename_dims(time="node").reset_index("time")
+    return loose.assign_coords(of_node)
 
 
 def penalty_outputs(model: Model) -> list[str]:
