@@ -16,7 +16,12 @@ from .network import (
 from .data.series import Profiles as Profiles
 from .errors import OpfmodelError as OpfmodelError
 from .horizon import Horizon as Horizon
-from .forecasts import Forecast as Forecast
+from .forecasts import (
+    Case as Case,
+    Draw as Draw,
+    Forecast as Forecast,
+    Scenarios as Scenarios,
+)
 from .model import (
     Elastic as Elastic,
     largest as largest,

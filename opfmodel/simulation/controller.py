@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ import numpy.typing as npt
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, listed, shown
 from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts.perfect import Perfect
+from opfmodel.forecasts.scenarios import Futures, Scenarios
+from opfmodel.horizon import Horizon
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
@@ -58,11 +61,15 @@ class Controller:
         Response to an infeasible problem: ``stop``, or ``elastic`` to plan with soft limits.
     elastic
         Penalty prices of the soft limits.
+    scenarios
+        Futures around the forecast; the horizon of the problem is their tree, see :meth:`Scenarios.horizon`.
 
     Attributes
     ----------
     attempts
         The solves that the last plan took.
+    futures
+        The futures of the last plan; None without scenarios.
     """
 
     def __init__(
@@ -71,12 +78,17 @@ class Controller:
         forecast: Forecast | None = None,
         on_infeasible: OnInfeasible = "stop",
         elastic: Elastic | None = None,
+        scenarios: Scenarios | None = None,
     ) -> None:
         if on_infeasible not in get_args(OnInfeasible):
             raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
         if not isinstance(problem, MultiStage):
             raise ModelError(f"problem = {shown(problem)}: must be a MultiStage")
-        for name, value, kind in (("forecast", forecast, Forecast), ("elastic", elastic, Elastic)):
+        for name, value, kind in (
+            ("forecast", forecast, Forecast),
+            ("elastic", elastic, Elastic),
+            ("scenarios", scenarios, Scenarios),
+        ):
             if not (value is None or isinstance(value, kind)):
                 raise ModelError(
                     f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
@@ -85,7 +97,9 @@ class Controller:
         self.forecast = forecast
         self.on_infeasible = on_infeasible
         self.elastic = Elastic() if elastic is None else elastic
+        self.scenarios = scenarios
         self.attempts: list[Attempt] = []
+        self.futures: Futures | None = None
         self._last: Plan | None = None
 
     def begin(self) -> None:
@@ -97,7 +111,8 @@ class Controller:
         expected, last = self.expected(time), self._last
         if last is not None and last.time > time:  # another run has begun
             last = None
-        solve = partial(self.problem.solve, time, state, expected=expected)
+        asked: dict[str, Any] = {"expected": expected, "horizon": self._horizon()}
+        solve = partial(self.problem.solve, time, state, **asked)
         ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
         if last is not None:
             ladder = {
@@ -112,7 +127,9 @@ class Controller:
                 break
         self._last = plan if plan.optimal else None
         if not plan.optimal and self.on_infeasible == "elastic":
-            plan = self._attempt("elastic", partial(self._twin.solve, time, state, expected=expected))
+            plan = self._attempt(
+                "elastic", partial(self._twin.solve, time, state, expected=expected, horizon=self._horizon())
+            )
         return plan
 
     def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
@@ -135,11 +152,34 @@ class Controller:
         ProfileError, ModelError
             There is no forecast, it is not finite, or it does not cover the series.
         """
-        if self.forecast is None:
+        if self.forecast is None and self.scenarios is None:
             return None
+        problem, forecast = self.problem, self.forecast or Perfect()
+        expected = Profiles.of(forecast.expected(problem.profiles, time, problem.horizon.steps))
+        where = f"forecast {type(forecast).__name__} at step {time}"
+        self._check_expected(expected, where)
+        futures = [expected]
+        if self.scenarios is not None:
+            self.futures = self.scenarios.futures(
+                expected,
+                time,
+                problem.horizon,
+                actual=problem.profiles,
+                forecast=forecast,
+                network=problem.network,
+            )
+            futures = list(self.futures.series)
+            for name, future in zip(problem.horizon.scenarios, futures, strict=True):
+                self._check_expected(future, f"{where}, scenario {name!r}")
+        ahead = problem.expected(futures)
+        if ("generator", "p_max") in ahead:  # never below minimum output
+            least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
+            ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
+        return ahead
+
+    def _check_expected(self, expected: Profiles, where: str) -> None:
+        """Raise an error unless expected series cover those of the problem with finite values."""
         problem = self.problem
-        expected = Profiles.of(self.forecast.expected(problem.profiles, time, problem.horizon.steps))
-        where = f"forecast {type(self.forecast).__name__} at step {time}"
         differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
         if differing:
             raise ModelError(
@@ -150,8 +190,10 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
-        ahead = problem.expected([expected])
-        if ("generator", "p_max") in ahead:  # never below minimum output
-            least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
-            ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
-        return ahead
+
+    def _horizon(self) -> Horizon | None:
+        """Return the horizon with the probabilities of the last futures, if these vary."""
+        horizon = self.problem.horizon
+        if self.futures is None or not horizon.varying:
+            return None
+        return horizon.with_probabilities(self.futures.probability.tolist())
