@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
+from opfmodel.check import check
 from opfmodel.errors import HorizonError, ModelError
 from solvers import ProgramError
 
@@ -364,3 +365,33 @@ def test_warm_starts_on_a_tree_keep_the_optimum() -> None:
     cold, warm = problem.solve(1, state), problem.solve(1, state, plan)
     assert warm.objective == pytest.approx(cold.objective, rel=1e-6)
     assert warm.solution.iterations <= cold.solution.iterations
+
+
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_the_independent_check_verifies_every_scenario(formulation: str) -> None:
+    horizon = HORIZONS["uneven tree"]
+    series = futures(horizon, 1)
+    plan = solved(horizon, series, formulation)
+    for name, own in zip(horizon.scenarios, series, strict=True):
+        path = plan.scenario(name)
+        report = check(grid(), path, own, previous_pg={name: pg for name, (pg, _) in BEFORE.items()})
+        assert report.max_violation < 1e-6, report
+        assert report.cost == pytest.approx(plan.scenario_costs[name], rel=1e-9)
+        broken = path.copy(deep=True)
+        broken["e_next"][2] += 1.0  # the check can fail
+        assert check(grid(), broken, own).max_violation > 1e-3
+
+
+def test_limits_of_a_long_stage_are_the_tightest_of_its_steps() -> None:
+    horizon = om.Horizon.grid([1, 3])
+    series = {
+        "ab.rating": [140, 60, 90, 80],
+        "gas.p_max": [120, 120, 60, 90],
+        "cell.energy": [120, 90, 120, 120],
+    }
+    problem = om.MultiStage(grid(), horizon, formulation="dc", profiles=series)
+    data = problem.ahead(0)
+    assert data.branch.rating[0].tolist() == [1.4, 0.6]
+    assert data.generator.p_max[1].tolist() == pytest.approx([1.2, 0.9])
+    assert data.storage.energy[0].tolist() == pytest.approx([1.2, 0.9])
+    assert problem.solve().optimal
