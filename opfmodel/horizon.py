@@ -305,15 +305,17 @@ def _lengths(hours: Sequence[float], step: float | None) -> tuple[Index, float]:
 def _probabilities(scenarios: Mapping[str, float]) -> tuple[tuple[str, ...], Array]:
     """Check the probabilities of scenarios."""
     if not scenarios:
-        raise HorizonError("scenarios: needs at least one", "scenarios")
+        raise HorizonError("scenarios: needs at least one", "cases")
     for name, share in scenarios.items():
         if not (is_number(share) and 0 < share <= 1):
             raise HorizonError(
                 f"{name}: probability = {share!r}: must be a number above 0 and at most 1",
+                "cases",
+                "cases",
                 name,
                 "probability",
             )
     shares = np.array(list(scenarios.values()), dtype=float)
     if abs(shares.sum() - 1.0) > _SAME * len(shares):
-        raise HorizonError(f"the probabilities sum to {shares.sum():.9g}; must sum to 1")
+        raise HorizonError(f"the probabilities sum to {shares.sum():.9g}; must sum to 1", "cases")
     return tuple(map(str, scenarios)), shares / shares.sum()

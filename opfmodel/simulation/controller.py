@@ -15,7 +15,6 @@ from opfmodel.errors import ModelError, ProfileError, listed, shown
 from opfmodel.forecasts.base import Forecast
 from opfmodel.forecasts.perfect import Perfect
 from opfmodel.forecasts.scenarios import Futures, Scenarios
-from opfmodel.horizon import Horizon
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
@@ -108,10 +107,9 @@ class Controller:
 
     def plan(self, time: int, state: Initial | None) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status."""
-        expected, last = self.expected(time), self._last
+        asked, last = self.request(time), self._last
         if last is not None and last.time > time:  # another run has begun
             last = None
-        asked: dict[str, Any] = {"expected": expected, "horizon": self._horizon()}
         solve = partial(self.problem.solve, time, state, **asked)
         ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
         if last is not None:
@@ -127,9 +125,7 @@ class Controller:
                 break
         self._last = plan if plan.optimal else None
         if not plan.optimal and self.on_infeasible == "elastic":
-            plan = self._attempt(
-                "elastic", partial(self._twin.solve, time, state, expected=expected, horizon=self._horizon())
-            )
+            plan = self._attempt("elastic", partial(self._twin.solve, time, state, **asked))
         return plan
 
     def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
@@ -143,6 +139,14 @@ class Controller:
     @cached_property
     def _twin(self) -> MultiStage:
         return self.problem.elastic_twin(self.elastic)
+
+    def request(self, time: int) -> dict[str, Any]:
+        """Return the keyword arguments of :meth:`MultiStage.solve` that hold what is expected at a step."""
+        expected, horizon = self.expected(time), self.problem.horizon
+        if self.futures is None or not horizon.varying:
+            return {"expected": expected}
+        shares = self.futures.probability.tolist()
+        return {"expected": expected, "horizon": horizon.with_probabilities(shares)}
 
     def expected(self, time: int) -> dict[tuple[str, str], Array] | None:
         """Return the forecast of the stages ahead, in per unit; None for the realised values.
@@ -190,10 +194,3 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
-
-    def _horizon(self) -> Horizon | None:
-        """Return the horizon with the probabilities of the last futures, if these vary."""
-        horizon = self.problem.horizon
-        if self.futures is None or not horizon.varying:
-            return None
-        return horizon.with_probabilities(self.futures.probability.tolist())
