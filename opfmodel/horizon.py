@@ -242,6 +242,19 @@ class Horizon:
         return later, eldest[later]
 
     @cached_property
+    def depth(self) -> Index:
+        """Number of nodes before each node on its path."""
+        depth = np.zeros(len(self), dtype=np.intp)
+        for node in self.inner:  # parents come first
+            depth[node] = depth[self.parent[node]] + 1
+        return depth
+
+    @cached_property
+    def trunk(self) -> Horizon:
+        """The chain of the moments that all futures share: a plan for the expected future has it."""
+        return Horizon.grid(self.hours[self.paths[0]].tolist(), self.base)
+
+    @cached_property
     def scenarios(self) -> tuple[str, ...]:
         """Names of the scenarios, in the order of the leaves."""
         return tuple(self.scenario[leaf] for leaf in self.leaves)

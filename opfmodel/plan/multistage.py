@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -32,14 +33,15 @@ from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
 from opfmodel.plan.memory import check_memory, problem_bytes
-from opfmodel.plan.nodes import at_nodes, moved, over_nodes
+from opfmodel.plan.nodes import at_nodes, mean_of_futures, over_nodes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.risk import Risk
 from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
-from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
+from opfmodel.plan.start import lifted, moved
+from solvers import Expression, Kind, Program, Session, SolverError, Start, Sum, classify, prepare
 from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
@@ -610,9 +612,37 @@ class MultiStage:
         for name, (lower, upper) in (limits or {}).items():
             numbers.limit(name, lower, upper)
         instance = numbers.instance()
-        start = _start(previous, program, time, multipliers)
+        start, effort = _start(previous, program, request, multipliers), 0.0
+        if start is None and not limits:
+            start, effort = self._from_expected(request, network)
         solution = session.solve(instance, start)
-        return Plan(self, model, solution, network, request)
+        return Plan(self, model, replace(solution, seconds=solution.seconds + effort), network, request)
+
+    def _from_expected(self, request: Request, network: PerUnitNetwork) -> tuple[Start | None, float]:
+        """Return the plan for the expected future as a start, and its seconds; None if it is of no use.
+
+        Nonlinear problems over a tree need fewer iterations from it, and it is far smaller.
+        """
+        model, program, _ = self._compiled
+        if model.horizon.is_chain or classify(program).kind < Kind.NONLINEAR:
+            return None, 0.0
+        known = {
+            (kind, field): values
+            for kind, field in model.series
+            for values in (network.tables[kind].arrays[field],)
+        }
+        mean = mean_of_futures(known, request.horizon)
+        chain = self._expected_problem
+        plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
+        start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
+        return start, plan.solution.seconds
+
+    @cached_property
+    def _expected_problem(self) -> MultiStage:
+        """The problem of the expected future alone."""
+        chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
+        chain.risk = None  # of a single future there is none
+        return chain
 
     def _check_request(self, request: Request, previous: Plan | None) -> None:
         """Raise :class:`ModelError` for arguments of a solve that do not fit the compiled problem."""
@@ -649,10 +679,11 @@ def _horizon(given: int | Horizon, step: float | None) -> Horizon:
     return given
 
 
-def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:
+def _start(previous: Plan | None, program: Program, request: Request, multipliers: bool) -> Start | None:
+    time = request.time
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    start = moved(previous.solution, previous.model.horizon, time - previous.time)
+    start = moved(previous.solution, previous.horizon, request.horizon, time - previous.time)
     if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(start.x) if start.x.size == program.n_variables else None
     return start if multipliers else Start(start.x)

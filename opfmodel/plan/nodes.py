@@ -1,4 +1,4 @@
-"""Data of base steps at the nodes of a horizon, and the start of a plan from an earlier one."""
+"""Data of base steps at the nodes of a horizon."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ import numpy.typing as npt
 
 from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
-from solvers import Block, Cone, Solution, Start
 
-__all__ = ["at_nodes", "moved", "over_nodes"]
+__all__ = ["at_nodes", "mean_of_futures", "over_nodes"]
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
 Fields = Mapping[tuple[str, str], Array]
 
 _REDUCE: Mapping[str, Callable[..., Array]] = {"mean": np.mean, "min": np.min, "max": np.max}
@@ -56,28 +54,8 @@ def at_nodes(futures: Sequence[Array], horizon: Horizon, rule: str = "mean") -> 
     return np.stack(columns, axis=1)
 
 
-def moved(solution: Solution, horizon: Horizon, steps: int) -> Start:
-    """Return a solution as the start of the problem ``steps`` base steps later.
-
-    Every node starts from the one of the same future at that time; see :meth:`Horizon.moved`. Multipliers
-    scale with probability and length.
-    """
-    if steps == 0:
-        return solution.start()
-    source = horizon.moved(steps)
-    before = horizon.parent[source[horizon.roots[:1]]]  # whose end is now the measured state
-    factor = horizon.weights / horizon.weights[source]
-
-    def columns(block: Block | Cone) -> Index:
-        nodes = horizon.columns(block.stages)
-        if nodes is None:
-            return np.arange(block.stages)
-        wanted = np.where(nodes < 0, before, source[nodes])
-        position = {node: column for column, node in enumerate(nodes.tolist())}
-        return np.array([position.get(node, own) for own, node in enumerate(wanted.tolist())], dtype=np.intp)
-
-    def scaled(block: Block | Cone) -> Array | float:
-        nodes = horizon.columns(block.stages)
-        return 1.0 if nodes is None else np.where(nodes < 0, 1.0, factor[nodes])
-
-    return solution.rearranged(columns, scaled, moved=steps)
+def mean_of_futures(fields: Fields, horizon: Horizon) -> dict[tuple[str, str], Array]:
+    """Return the expected data at each moment, ``(items, moments)``, from those of the nodes."""
+    share = np.zeros((len(horizon), int(horizon.depth.max()) + 1))
+    share[np.arange(len(horizon)), horizon.depth] = horizon.probability
+    return {key: values @ share for key, values in fields.items()}
