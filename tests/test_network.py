@@ -272,3 +272,18 @@ def test_an_assignment_to_a_component_says_how_to_change_it(grid: om.Network) ->
 
 def test_bounds_may_move_together(grid: om.Network) -> None:
     om.MultiStage(grid, profiles={"coal.p_min": [250.0, 10], "coal.p_max": [300.0, 10]})
+
+
+def test_aliases_name_buses_and_are_copied(grid: om.Network) -> None:
+    assert grid.aliases == {}
+    grid.alias({"north": "north", "busbar 2": "north", "dead": None, "south": "south"})
+    assert list(grid.copy().aliases.items()) == [
+        ("north", "north"),
+        ("busbar 2", "north"),
+        ("dead", None),
+        ("south", "south"),
+    ]
+    with pytest.raises(NetworkError, match=r"alias 'busbar 3' = 'nort': no such bus; did you mean 'north'"):
+        grid.alias({"busbar 3": "nort"})
+    with pytest.raises(NetworkError, match=r"alias 'a' = 'coal': no such bus"):
+        grid.alias({"a": "coal"})

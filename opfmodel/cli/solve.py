@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from opfmodel.cli import show
-from opfmodel.cli.options import FILE, JSON, ON_INFEASIBLE, SET, VARIANT, VERBOSE
+from opfmodel.cli.options import FILE, JSON, LOSSY, ON_INFEASIBLE, SET, VARIANT, VERBOSE
 from opfmodel.cli.output import print_json, solver_output
-from opfmodel.cli.reading import check_on_infeasible, is_scenario, read_network_file, read_scenario
+from opfmodel.cli.reading import (
+    check_on_infeasible,
+    is_scenario,
+    read_network_file,
+    read_scenario,
+    refuse_lossy,
+)
 from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
@@ -32,6 +38,7 @@ def solve(
     default_cost: Annotated[
         float | None, typer.Option(help="Cost in $/MWh of generators without cost data in a network file.")
     ] = None,
+    lossy: LOSSY = False,
     variant: VARIANT = None,
     set_: SET = None,
     on_infeasible: ON_INFEASIBLE = None,
@@ -47,7 +54,7 @@ def solve(
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
     with solver_output(verbose):
         controller, initial = _controller(
-            file, {k: v for k, v in chosen.items() if v is not None}, default_cost, variant, set_
+            file, {k: v for k, v in chosen.items() if v is not None}, default_cost, lossy, variant, set_
         )
         problem = controller.problem
         problem.verbose = verbose
@@ -103,6 +110,7 @@ def _controller(
     file: Path,
     chosen: Mapping[str, Any],
     default_cost: float | None,
+    lossy: bool,
     variant: str | None,
     overrides: list[str] | None,
 ) -> tuple[Controller, Mapping[str, Any] | None]:
@@ -116,10 +124,11 @@ def _controller(
                 f"{file}: --default-cost applies to network files only; "
                 "use --set network.default_cost, a cost such as {c1: 30}"
             )
+        refuse_lossy(file, lossy)
         changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
         scenario = read_scenario(file, variant, overrides, changes)
         planner = Controller(scenario.problem, elastic=scenario.elastic, scenarios=scenario.scenarios)
         return planner, scenario.initial()
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return Controller(MultiStage(read_network_file(file, default_cost), **chosen)), None
+    return Controller(MultiStage(read_network_file(file, default_cost, lossy), **chosen)), None

@@ -17,15 +17,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
 from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
-from opfmodel.network.components import BUILT_IN, Generator, Load, Storage
+from opfmodel.network.components import BUILT_IN, Bus, Generator, Load, Storage
 from opfmodel.network.fields import INF
 
 __all__ = ["Network", "name_pattern"]
@@ -57,6 +58,7 @@ class Network:
     _derived: dict[Callable[[Network], Any], Any]
     _classes: dict[str, type[Component]]
     _profiles: Profiles
+    _aliases: dict[str, str | None]
 
     def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
         least, most = BASE_MVA
@@ -72,6 +74,7 @@ class Network:
         object.__setattr__(self, "_derived", {})
         object.__setattr__(self, "_classes", {kind.kind: kind for kind in BUILT_IN})
         object.__setattr__(self, "_profiles", Profiles())
+        object.__setattr__(self, "_aliases", {})
 
     @property
     def capacity_mva(self) -> float:
@@ -126,7 +129,8 @@ class Network:
         """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
 
         Fields are checked as by :meth:`add`, so a component that is put in service,
-        ``grid.update("coal", in_service=True)``, must satisfy all rules.
+        ``grid.update("coal", in_service=True)``, must satisfy all rules. The new values replace attached
+        time series of these fields.
         """
         old = self[name]
         for key, value in changes.items():
@@ -137,13 +141,26 @@ class Network:
         new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check_declared(name)
         self._set(name, new)
+        self._detach(name, [quantity for key in changes for quantity in old.quantities(key)])
         return new
 
     def remove(self, name: str) -> Component:
-        """Remove a component from the network and return it."""
+        """Remove a component and its attached time series from the network, and return it."""
         component = self[name]
         self._set(name, None)
+        self._detach(name)
         return component
+
+    def _detach(self, component: str, fields: Collection[str] | None = None) -> None:
+        """Remove the attached time series of fields of a component; by default of all."""
+        series = self._profiles
+        kept = {
+            key: values
+            for key, values in series.items()
+            if key.component != component or not (fields is None or key.field in fields)
+        }
+        if len(kept) < len(series):
+            self.attach(Profiles(kept, series.calendar))
 
     def _set(self, name: str, component: Component | None) -> None:
         """Change the components; every change goes through here to clear the cache."""
@@ -168,6 +185,31 @@ class Network:
         """Attach time series, in place of those attached before; problems check them."""
         object.__setattr__(self, "_profiles", profiles)
 
+    @property
+    def aliases(self) -> Mapping[str, str | None]:
+        """Bus that carries each bus of the source, None for a dead one, in the order of the source.
+
+        Readers fill it where buses of the source are fused by closed switches or without supply: it
+        then has an entry for every bus, also for those that carry themselves. Otherwise it is empty.
+        """
+        return MappingProxyType(self._aliases)
+
+    def alias(self, aliases: Mapping[str, str | None]) -> None:
+        """Set :attr:`aliases`, in place of those set before.
+
+        Raises
+        ------
+        NetworkError
+            An entry names no bus of the network.
+        """
+        for name, bus in aliases.items():
+            if bus is not None and not isinstance(self._components.get(bus), Bus):
+                raise NetworkError(
+                    f"network {self.name!r}: alias {name!r} = {bus!r}: no such bus; "
+                    f"{nearest(str(bus), self.of(Bus))}"
+                )
+        object.__setattr__(self, "_aliases", dict(aliases))
+
     def derived(self, make: Callable[[Network], T]) -> T:
         """Result of ``make(network)``, cached until a component changes."""
         if make not in self._derived:
@@ -189,6 +231,7 @@ class Network:
         twin._derived.update(self._derived)
         twin._classes.update(self._classes)
         twin.attach(self.profiles)
+        twin._aliases.update(self._aliases)
         return twin
 
     __copy__ = copy

@@ -69,13 +69,15 @@ class MultiStage:
         Number of stages, where 1 is an ordinary optimal power flow; or a :class:`opfmodel.Horizon`: an uneven
         grid or a tree of scenarios.
     step
-        Length of a stage in hours, if the horizon is a number of stages.
+        Length of a stage in hours, if the horizon is a number of stages; by default that of the time series,
+        or 1 h if they have no time stamps.
     formulation
         Name or instance of a formulation.
     objective
         An objective; :class:`opfmodel.Economic` by default.
     profiles
-        Time series ``{"component.field": values}``; see :class:`opfmodel.Profiles`.
+        Time series ``{"component.field": values}``; see :class:`opfmodel.Profiles`. They override those
+        of the network, one by one.
     generator_delay
         0: the dispatch of the first stage is decided, ramp-limited from the last one applied.
         1: it is given, and decisions take effect one stage later (Faulwasser and Engelmann).
@@ -147,15 +149,17 @@ class MultiStage:
                 raise ModelError(
                     f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
                 )
+        self.profiles = Profiles.of(profiles).or_else(network.profiles)
+        check_series(self.profiles, network)
         self.network = network.copy()  # what is changed from now on is for other problems
-        self.horizon = _horizon(horizon, step)
+        self.network.attach(Profiles())  # the problem has them
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
-        needed = problem_bytes(self.arrays.n_components, self.stages, self.formulation.reactive)
-        check_memory(f"horizon = {self.stages:,}", needed)
+        stages = len(horizon) if isinstance(horizon, Horizon) else integer("horizon", horizon, at_least=1)
+        needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive)
+        check_memory(f"horizon = {stages:,}", needed)
+        self.horizon = self._horizon(horizon, step)
         self.objective = Economic() if objective is None else objective
-        self.profiles = Profiles.of(profiles)
-        check_series(self.profiles, network)
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = (
@@ -178,6 +182,24 @@ class MultiStage:
         if name in _STATED and "_compiled" in self.__dict__:
             raise ModelError(f"{name}: the problem is already compiled; create another one")
         super().__setattr__(name, value)
+
+    def _horizon(self, given: int | Horizon, step: float | None) -> Horizon:
+        """Return a horizon, from its number of stages and their length if it is not one."""
+        calendar = self.profiles.calendar
+        stated = given.base if isinstance(given, Horizon) else step
+        if isinstance(given, Horizon) and step is not None and step != given.base:
+            raise ModelError(
+                f"step = {step!r}: the horizon has steps of {given.base:g} h; leave the step out"
+            )
+        if stated is not None and calendar is not None and not calendar.has_step(stated):
+            raise ModelError(
+                f"step = {stated!r}: the time series have a step of {calendar.step:g} h; "
+                "leave the step out, or resample the series"
+            )
+        if isinstance(given, Horizon):
+            return given
+        known = 1.0 if calendar is None else calendar.step
+        return Horizon.chain(given, known if stated is None else stated)
 
     def __repr__(self) -> str:
         return (
@@ -668,15 +690,6 @@ class MultiStage:
             raise ModelError(
                 "horizon: may differ from that of the problem in probabilities alone, if these are varying"
             )
-
-
-def _horizon(given: int | Horizon, step: float | None) -> Horizon:
-    """Return a horizon, from its number of stages and their length if it is not one."""
-    if not isinstance(given, Horizon):
-        return Horizon.chain(given, 1.0 if step is None else step)
-    if step is not None and step != given.base:
-        raise ModelError(f"step = {step!r}: the horizon has steps of {given.base:g} h; omit it")
-    return given
 
 
 def _start(previous: Plan | None, program: Program, request: Request, multipliers: bool) -> Start | None:

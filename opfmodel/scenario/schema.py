@@ -43,6 +43,8 @@ class Section(BaseModel):
 
 
 class TimeSection(Section):
+    start: str | None = Field(None, description="beginning of the first step, ISO 8601")
+    zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
     step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
     steps: int = Field(1, ge=1)
 
@@ -168,5 +170,7 @@ class ScenarioFile(Section):
     @property
     def ahead(self) -> int:
         """Number of steps that a plan covers."""
-        hours = self.controller.lengths(self.time.step)
-        return max(math.ceil(sum(hours) / self.time.step - 1e-6), 1)
+        horizon = self.controller.horizon
+        if isinstance(horizon, int):
+            return horizon
+        return max(math.ceil(sum(horizon.hours) / self.time.step - 1e-6), 1)
