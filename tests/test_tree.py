@@ -398,7 +398,7 @@ def test_limits_of_a_long_stage_are_the_tightest_of_its_steps() -> None:
     }
     problem = om.MultiStage(grid(), horizon, formulation="dc", profiles=series)
     data = problem.ahead(0)
-    assert data.branch.rating[0].tolist() == [1.4, 0.6]
-    assert data.generator.p_max[1].tolist() == pytest.approx([1.2, 0.9])
-    assert data.storage.energy[0].tolist() == pytest.approx([1.2, 0.9])
+    assert data["branch", "rating"][0].tolist() == [1.4, 0.6]
+    assert data["generator", "p_max"][1].tolist() == pytest.approx([1.2, 0.9])
+    assert data["storage", "energy"][0].tolist() == pytest.approx([1.2, 0.9])
     assert problem.solve().optimal

@@ -73,6 +73,7 @@ def solve(
                 "objective": plan.objective if plan.optimal else None,
                 "expected_cost": plan.expected_cost if plan.optimal else None,
                 "scenario_costs": plan.scenario_costs if plan.optimal and controller.scenarios else {},
+                "currency": problem.network.currency,
                 "build_seconds": problem.build_seconds,
                 "solve_seconds": plan.solution.seconds,
                 "iterations": plan.solution.iterations,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import ProfileError, shown
 
-__all__ = ["Calendar", "parse_stamp", "shown_in", "zone_of"]
+__all__ = ["Calendar", "Times", "parse_stamp", "shown_in", "zone_of"]
 
 _NANOSECONDS = 3_600_000_000_000  # of an hour
 _YEARS = np.datetime64("1700", "Y"), np.datetime64("2200", "Y")  # nanoseconds in 64 bits end in 2262
@@ -103,6 +104,43 @@ class Calendar:
                 f"{self.shown(steps + 1)} of the time series; it must be one of them"
             )
         return steps
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """Beginnings of successive stages: hours, or time stamps where there is a calendar.
+
+    Attributes
+    ----------
+    steps
+        Step at which each stage begins.
+    step
+        Length of a step, h.
+    """
+
+    steps: npt.NDArray[np.intp]
+    step: float
+    calendar: Calendar | None = None
+
+    @property
+    def hours(self) -> npt.NDArray[np.float64]:
+        """Hours at which the stages begin, counted from step 0."""
+        return np.asarray(self.steps * self.step, dtype=float)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Beginnings of the stages for messages: ``hour 3``, or local times."""
+        if self.calendar is None:
+            return tuple(f"hour {hour:g}" for hour in self.hours)
+        return tuple(map(self.calendar.shown, self.steps.tolist()))
+
+    def coordinate(self) -> tuple[str, npt.NDArray[Any], dict[str, str]]:
+        """Return the coordinate ``time`` of results: hours, or times in UTC with the zone as an attribute."""
+        about = {"long_name": "start of the stage"}
+        if self.calendar is None:
+            return "time", self.hours, {"units": "h", **about}
+        stamps = self.calendar.stamps(int(self.steps.max(initial=0)) + 1)[self.steps]
+        return "time", stamps, {"zone": self.calendar.zone, **about}
 
 
 def parse_stamp(text: str, zone: str) -> np.datetime64:

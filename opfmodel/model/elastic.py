@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
@@ -145,6 +146,8 @@ class Slack:
         """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
         nodes = np.arange(stages) if self.nodes is None else self.nodes
+        skipped = nodes.size - amounts.shape[1]  # by a plan that ends with the data
+        nodes = np.minimum(nodes[skipped:] - skipped, stages - 1)
         kept = np.flatnonzero(nodes >= 0)
         np.add.at(out, np.ix_(self.soft.members, nodes[kept]), amounts[:, kept])
         return out
@@ -164,6 +167,8 @@ class Shortage:
         Amount by stage, in the physical unit.
     hours
         Hour at which each stage begins; empty if the amounts do not belong to stages.
+    moments
+        The same as text, such as ``hour 3`` or a local time.
     horizon
         The nodes in time that the stages are.
     cost
@@ -176,6 +181,7 @@ class Shortage:
     side: Side
     amounts: Array
     hours: Array
+    moments: tuple[str, ...]
     horizon: Horizon
     cost: float
 
@@ -197,7 +203,7 @@ class Shortage:
             return text
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
         scenario = self.horizon.scenario[first]
-        text += f" at hour {self.hours[first]:g}" + (f" of scenario {scenario!r}" if scenario else "")
+        text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
@@ -213,7 +219,7 @@ def shortages(
     network: PerUnitNetwork,
     prices: Elastic,
     horizon: Horizon,
-    hours: Array,
+    times: Times,
 ) -> tuple[Shortage, ...]:
     """Return the shortfalls of a network, the most expensive first.
 
@@ -221,9 +227,10 @@ def shortages(
     ----------
     solution
         The solution to report.
-    horizon, hours
-        The nodes in time, and the hour at which each begins.
+    horizon, times
+        The nodes in time, and when each begins.
     """
+    hours = times.hours
     found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
     for slack in slacks:
         soft = slack.soft
@@ -240,11 +247,12 @@ def shortages(
                 join = np.maximum if soft.price == "limit" else np.add
                 found[key] = soft, join(known, spread[item]), join(cost, priced[item])
     made = []
+    moments = times.shown if found else ()
     for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
-        moments = hours if soft.timed else hours[:0]
-        made.append(Shortage(kind, component, soft, side, physical, moments, horizon, total))
+        timed = (hours, moments) if soft.timed else (hours[:0], ())
+        made.append(Shortage(kind, component, soft, side, physical, *timed, horizon, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

@@ -63,6 +63,8 @@ class Model:
         Whether different shares of active and reactive demand may be unserved, to diagnose a shortage.
     regularisation
         Weight in $/(h p.u.²) of the squares of regularised quantities.
+    shrinks
+        Whether plans may begin at a later stage of the program; see :mod:`opfmodel.plan.shrinking`.
 
     Attributes
     ----------
@@ -73,6 +75,8 @@ class Model:
     weight
         Probability times length of each node, in h: a number if all are equal, an array ``(1, stages)``, or a
         parameter if the probabilities may vary.
+    starts
+        Nodes at which plans may begin.
     series
         Fields that have time series, by ``(kind, field)``.
     slacks
@@ -95,6 +99,7 @@ class Model:
         elastic: Elastic | None = None,
         split_shedding: bool = False,
         regularisation: float = 0.0,
+        shrinks: bool = False,
     ) -> None:
         self.network = network
         self.regularisation = regularisation
@@ -107,6 +112,7 @@ class Model:
         self.delay = delay
         self.stages = stages = len(horizon)
         self.step = _per_node(horizon.hours)
+        self.starts = np.arange(stages) if shrinks else horizon.roots
         self.reactive = reactive
         self.zones = zones
         self.build = ProgramBuilder(f"{network.name}, {horizon}", ordered=horizon.is_chain)
@@ -272,9 +278,7 @@ class Model:
             self.rows(kind, f"{name}_ramp", change, least, most, soft, horizon.inner)
         before = self.build.parameter(f"{name}_previous", ramped.size)
         # each solve enables or frees it through its bounds
-        self.rows(
-            kind, f"{name}_ramp_first", moving[:, horizon.roots] - before, least, most, soft, horizon.roots
-        )
+        self.rows(kind, f"{name}_ramp_first", moving[:, self.starts] - before, least, most, soft, self.starts)
         self.price(
             kind, f"{name}_ramp_price", self._ramp_price(name, len(self.network.tables[kind]), ramped),
             "$/MW", "value of one more MW of change since the previous stage",
@@ -282,12 +286,19 @@ class Model:
         )  # fmt: skip
 
     def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
+        rows = ("ramp", "ramp_first") if self.horizon.inner.size else ("ramp_first",)
+
         def read(solution: Solution, _: PerUnitNetwork) -> Array:
-            price = np.zeros((items, self.stages))
-            horizon = self.horizon
-            if horizon.inner.size:
-                price[np.ix_(ramped, horizon.inner)] = np.abs(solution.dual(f"{name}_ramp"))
-            price[np.ix_(ramped, horizon.roots)] = np.abs(solution.dual(f"{name}_ramp_first"))
+            duals = {row: np.abs(solution.dual(f"{name}_{row}")) for row in rows}
+            first = duals["ramp_first"]
+            stages = solution.dual(self.balance_p.name).shape[1]
+            skipped = self.stages - stages  # by a plan that ends with the data
+            roots = self.horizon.roots if not skipped else np.zeros(1, dtype=np.intp)
+            inner = self.horizon.inner[self.horizon.parent[self.horizon.inner] >= skipped] - skipped
+            price = np.zeros((items, stages))
+            price[np.ix_(ramped, roots)] = first[:, : roots.size]
+            if inner.size:
+                price[np.ix_(ramped, inner)] = duals["ramp"][:, -inner.size :]
             return price
 
         return read

@@ -16,7 +16,9 @@ __all__ = [
     "INF",
     "TableField",
     "at_bus",
+    "cost_of",
     "flag",
+    "in_service",
     "is_flag",
     "number",
     "rules_of_number",
@@ -43,6 +45,7 @@ def number(
     finite: bool = True,
     series: bool = True,
     over: Over | None = None,
+    description: str = "",
 ) -> Any:
     """Declare a field that holds one number.
 
@@ -61,6 +64,8 @@ def number(
     over
         Value over a stage of several steps: ``mean``, ``min`` or ``max``. By default the minimum of a field
         that may be infinite, which is a limit, and the mean of all others.
+    description
+        What the field means, in one line without its unit; documentation and schemas state it.
     """
     metadata = {
         "form": "number",
@@ -72,6 +77,7 @@ def number(
         "finite": finite,
         "series": series,
         "over": over or ("mean" if finite else "min"),
+        "description": description,
     }
     return field(default=default, metadata=metadata)
 
@@ -84,6 +90,7 @@ def span(
     symmetric: bool = False,
     series: bool = True,
     averaged: bool = False,
+    description: str = "",
 ) -> Any:
     """Declare a field that holds ``(min, max)``, with arrays ``<field>_min`` and ``<field>_max``.
 
@@ -91,7 +98,7 @@ def span(
     ----------
     symmetric
         Whether a single number ``a`` stands for ``(-a, a)``.
-    series
+    series, description
         As for :func:`number`.
     averaged
         Whether a stage of several steps takes the mean of each limit; by default the tighter counts.
@@ -103,18 +110,31 @@ def span(
         "symmetric": symmetric,
         "series": series,
         "averaged": averaged,
+        "description": description,
     }
     return field(default=default, metadata=metadata)
 
 
-def at_bus() -> Any:
+def at_bus(description: str = "Name of its bus.") -> Any:
     """Declare a field that names a bus; its array holds bus positions."""
-    return field(metadata={"form": "bus", "unit": "", "series": False})
+    return field(metadata={"form": "bus", "unit": "", "series": False, "description": description})
 
 
-def flag(default: bool) -> Any:
+def flag(default: bool, description: str = "") -> Any:
     """Declare a field that is true or false."""
-    return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
+    return field(
+        default=default, metadata={"form": "flag", "unit": "", "series": False, "description": description}
+    )
+
+
+def in_service() -> Any:
+    """Declare the field ``in_service``, which every component has."""
+    return flag(True, "Whether the component is in service; false leaves it out.")
+
+
+def cost_of(default: Any, description: str) -> Any:
+    """Declare a field that holds a cost function."""
+    return field(default=default, metadata={"form": "cost", "unit": "", "description": description})
 
 
 class TableField(NamedTuple):

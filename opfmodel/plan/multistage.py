@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -32,6 +33,7 @@ from opfmodel.network.units import scale
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
+from opfmodel.plan.extent import AtEnd, check_lengths, steps_from
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.nodes import at_nodes, mean_of_futures, over_nodes
 from opfmodel.plan.numbers import Numbers
@@ -39,7 +41,8 @@ from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, 
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
 from opfmodel.plan.risk import Risk
-from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shortage import SHORTAGE, Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shrinking import Shrinking
 from opfmodel.plan.start import lifted, moved
 from solvers import Expression, Kind, Program, Session, SolverError, Start, Sum, classify, prepare
 from solvers.interrupt import interruptible
@@ -53,7 +56,7 @@ Fields = dict[tuple[str, str], Array]
 _STATED = frozenset(
     (
         "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "risk", "devices", "solver", "options", "verbose",
+        "end", "regularisation", "elastic", "risk", "devices", "at_end", "solver", "options", "verbose",
     )
 )  # fmt: skip
 
@@ -94,6 +97,10 @@ class MultiStage:
         Risk aversion over the scenarios of a tree; by default the expected cost is minimised.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
+    at_end
+        What a plan does that looks beyond the end of the data (time series of the network, the objective
+        and the constraints). ``error``: it is refused. ``repeat``: the whole series follow once more, and
+        again. ``shrink``: the plan ends with the data; the program is the same for all horizons.
     solver, options
         Back end and its options; see :func:`solvers.prepare`.
     verbose
@@ -131,12 +138,15 @@ class MultiStage:
         elastic: Elastic | None = None,
         risk: Risk | None = None,
         devices: Iterable[Device] = (),
+        at_end: AtEnd = "error",
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
     ) -> None:
         if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
+        if at_end not in get_args(AtEnd):
+            raise ModelError(f"at_end = {at_end!r}: must be {', '.join(map(repr, get_args(AtEnd)))}")
         if not isinstance(network, Network):
             raise ModelError(f"network = {shown(network)}: must be a Network")
         for name, value, kind in (
@@ -170,12 +180,18 @@ class MultiStage:
         self.elastic = elastic
         self.risk = risk
         self.devices = make_devices(self.arrays, devices)
+        self.at_end = at_end
+        if at_end == "shrink" and not (self.horizon.is_chain and self.horizon.is_even):
+            raise IncompatibleError(
+                "at_end = 'shrink': needs stages of one step without scenarios; use 'error' or 'repeat'"
+            )
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
         self._rationed, self._split_shedding = False, False
+        self._shrinking: Shrinking | None = None
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -355,19 +371,28 @@ class MultiStage:
         metered
             Objective that evaluates the realised costs; by default that of the problem.
         """
-        planned = steps + self.horizon.steps - 1
-        lengths = [("time series", self.profiles.length, planned)]
-        lengths += [(f"constraint {name!r}", own.length, planned) for name, own in self.constraints.items()]
-        for objective, needed in ((self.objective, planned), (metered or self.objective, steps)):
-            own = [values.shape[1] for values in self._series_of(objective).values()]
-            length = min((size for size in own if size > 1), default=None)
-            lengths.append((f"series of {type(objective).__name__}", length, needed))
-        for what, length, needed in lengths:
-            if length is not None and length < needed:
-                raise ModelError(
-                    f"{steps} steps with a horizon of {self.horizon.steps} need {what} of {needed} values; "
-                    f"the shortest has {length}; extend the series, or reduce the horizon or the steps"
-                )
+        check_lengths(self, steps, metered)
+
+    def horizon_from(self, time: int) -> Horizon:
+        """Return the horizon of the plan from a step on: a shorter one if plans end with the data.
+
+        Raises
+        ------
+        ModelError
+            The data end before the step.
+        """
+        steps = steps_from(self, time)
+        return self.horizon if steps == self.horizon.steps else Horizon.chain(steps, self.step)
+
+    def times(self, first: int, horizon: Horizon | int) -> Times:
+        """Return the beginnings of the stages of a horizon, or of a number of steps, from a step on."""
+        begins = np.arange(horizon) if isinstance(horizon, int) else horizon.step
+        return Times(first + begins, self.step, self.profiles.calendar)
+
+    def step_name(self, step: int) -> str:
+        """Return a step for messages: its number, and its local time if the series have time stamps."""
+        calendar = self.profiles.calendar
+        return f"step {step}" if calendar is None else f"step {step} ({calendar.shown(step)})"
 
     def window(self, start: int, steps: int, objective: Objective | None = None) -> PerUnitNetwork:
         """Return the network with the time series of ``steps`` base steps from ``start``.
@@ -382,36 +407,41 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        return self.arrays.with_series(self._window(start, steps, objective or self.objective))
+        return self.arrays.with_series(self._series(start, steps, objective))
 
-    def ahead(self, time: int) -> PerUnitNetwork:
-        """Return the network with the data at the nodes of the horizon that begins at step ``time``."""
-        known = self._window(time, self.horizon.steps, self.objective)
-        return self.arrays.with_series(over_nodes([known], self.horizon, self.arrays))
+    def ahead(self, time: int) -> Fields:
+        """Return the data at the nodes of the plan from a step on, ``(items, nodes)`` per unit."""
+        horizon = self.horizon_from(time)
+        return over_nodes([self._series(time, horizon.steps)], horizon, self.arrays)
 
-    def expected(self, futures: Sequence[Profiles]) -> Fields:
+    def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None) -> Fields:
         """Return expected series at the nodes of the horizon, as :meth:`solve` takes them.
 
         Parameters
         ----------
         futures
             Series of ``horizon.steps`` values, one set per future of the horizon or one for all.
+        horizon
+            That of the plan, see :meth:`horizon_from`; by default that of the problem.
 
         Returns
         -------
         dict
             Arrays ``(items, nodes)`` in per unit by ``(kind, field)``.
         """
-        ahead = [window(own, self.arrays, 0, self.horizon.steps) for own in futures]
-        return over_nodes(ahead, self.horizon, self.arrays)
+        nodes = self.horizon if horizon is None else horizon
+        ahead = [window(own, self.arrays, 0, nodes.steps) for own in futures]
+        return over_nodes(ahead, nodes, self.arrays)
 
-    def _window(self, start: int, steps: int, objective: Objective) -> Fields:
-        """Return the series of the profiles and of an objective, ``(items, steps)`` per unit."""
-        series = window(self.profiles, self.arrays, start, steps)
-        for key, values in self._series_of(objective).items():
+    def _series(self, start: int, steps: int, objective: Objective | None = None) -> Fields:
+        """Return the time series of a window by ``(kind, field)``, per unit ``(items, steps)``."""
+        repeats = self.at_end == "repeat"
+        series = window(self.profiles, self.arrays, start, steps, repeats)
+        objective = self.objective if objective is None else objective
+        for key, values in self.series_of(objective).items():
             known = values.shape[1]
-            if known == 1:
-                series[key] = np.repeat(values, steps, axis=1)
+            if known == 1 or repeats:
+                series[key] = values[:, np.arange(start, start + steps) % known]
             elif known < start + steps:
                 raise ModelError(
                     f"{type(objective).__name__}: {key[1]} has {known} values; "
@@ -425,7 +455,8 @@ class MultiStage:
     def _objective_series(self) -> Mapping[tuple[str, str], Array]:
         return self.objective.series(self.arrays)
 
-    def _series_of(self, objective: Objective) -> Mapping[tuple[str, str], Array]:
+    def series_of(self, objective: Objective) -> Mapping[tuple[str, str], Array]:
+        """Return the series of an objective, per unit; those of the problem's own are cached."""
         own = objective is self.objective
         return self._objective_series if own else objective.series(self.arrays)
 
@@ -457,6 +488,7 @@ class MultiStage:
             elastic=self.elastic,
             split_shedding=self._split_shedding,
             regularisation=self.regularisation,
+            shrinks=self.at_end == "shrink",
         )
         self.formulation.declare(model)
         for device in self.devices:
@@ -490,6 +522,10 @@ class MultiStage:
         if self._rationed:
             limit_shortage(model)
         program = model.build.build()
+        if self.at_end == "shrink" and self.stages > 1:
+            stocks = [name for name, state in model.states.items() if state.role == "stock"]
+            whole = [*(f"{name}_cyclic" for name in stocks), SHORTAGE]
+            self._shrinking = Shrinking(program, self.stages, stocks, whole)
         session = prepare(program, self.solver, self.options, self.verbose)
         self.build_seconds = clock.perf_counter() - began
         return model, program, session
@@ -574,8 +610,9 @@ class MultiStage:
             Whether the warm start includes the multipliers of the earlier plan; without them, only its
             primal point is used.
         expected
-            Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
-            in place of those of the profiles or the objective; for instance a forecast, see :meth:`expected`.
+            Values of fields over the stages of the plan by ``(kind, field)``, ``(items, stages)`` in per
+            unit, in place of those of the profiles or the objective; for instance a forecast, see
+            :meth:`expected`.
         horizon
             The horizon with other probabilities, if it declares that they vary.
 
@@ -608,8 +645,11 @@ class MultiStage:
         time, initial, end = request.time, request.initial, request.end
         model, program, session = self._compiled
         self._check_request(request, previous)
-        network = self.ahead(time).with_series(request.expected or {})
-        numbers = Numbers(model, program, network)
+        horizon = self.horizon_from(time)
+        begin = self.stages - len(horizon)
+        series = {**self.ahead(time), **(request.expected or {})}
+        network = self.arrays.with_series(series)
+        numbers = self._numbers(model, program, network, series, begin)
         if model.horizon.varying:
             numbers.parameters["probability"] = request.horizon.probability
         for state in model.states.values():
@@ -625,20 +665,21 @@ class MultiStage:
             numbers.end_with(state.name, end)
         for constraint in self.constraints.values():
             if constraint.limited:
-                low, high = constraint.window(time, self.horizon.steps)
+                low, high = constraint.window(time, horizon.steps, self.at_end == "repeat")
                 numbers.limit(
                     constraint.rows,
-                    at_nodes([low[None, :]], self.horizon, "max"),
-                    at_nodes([high[None, :]], self.horizon, "min"),
+                    at_nodes([low[None, :]], horizon, "max"),
+                    at_nodes([high[None, :]], horizon, "min"),
                 )
         for name, (lower, upper) in (limits or {}).items():
             numbers.limit(name, lower, upper)
         instance = numbers.instance()
-        start, effort = _start(previous, program, request, multipliers), 0.0
+        start, effort = _start(previous, program, request, begin, multipliers), 0.0
         if start is None and not limits:
             start, effort = self._from_expected(request, network)
         solution = session.solve(instance, start)
-        return Plan(self, model, replace(solution, seconds=solution.seconds + effort), network, request)
+        solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
+        return Plan(self, model, solution, network, request)
 
     def _from_expected(self, request: Request, network: PerUnitNetwork) -> tuple[Start | None, float]:
         """Return the plan for the expected future as a start, and its seconds; None if it is of no use.
@@ -691,12 +732,26 @@ class MultiStage:
                 "horizon: may differ from that of the problem in probabilities alone, if these are varying"
             )
 
+    def _numbers(
+        self, model: Model, program: Program, network: PerUnitNetwork, series: Fields, begin: int
+    ) -> Numbers:
+        """Return the instance data of a plan that begins at a stage of the program."""
+        if not begin:
+            return Numbers(model, program, network)
+        assert self._shrinking is not None
+        ahead = {key: np.repeat(values[:, :1], begin, axis=1) for key, values in series.items()}
+        whole = {key: np.hstack([ahead[key], values]) for key, values in series.items()}
+        return Numbers(model, program, self.arrays.with_series(whole), begin, self._shrinking.freed(begin))
 
-def _start(previous: Plan | None, program: Program, request: Request, multipliers: bool) -> Start | None:
+
+def _start(
+    previous: Plan | None, program: Program, request: Request, begin: int, multipliers: bool
+) -> Start | None:
     time = request.time
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    start = moved(previous.solution, previous.horizon, request.horizon, time - previous.time)
+    steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
+    start = moved(previous.solution, previous.request.horizon, request.horizon, steps)
     if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(start.x) if start.x.size == program.n_variables else None
     return start if multipliers else Start(start.x)

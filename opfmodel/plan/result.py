@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.errors import IncompatibleError, ModelError, nearest
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
@@ -60,13 +62,18 @@ class Plan:
         self.network = network
 
     def __repr__(self) -> str:
-        cost = f", {self.objective:.6g} $" if self.optimal else ""
+        cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
         return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
 
     @property
     def time(self) -> int:
         """First step of the plan."""
         return self.request.time
+
+    @property
+    def stages(self) -> int:
+        """Number of stages: the horizon, unless the plan ends earlier, with the data."""
+        return len(self.horizon)
 
     @property
     def status(self) -> str:
@@ -126,10 +133,11 @@ class Plan:
         paths = zip(self.horizon.scenarios, self.horizon.paths, strict=True)
         return {name: float(self.node_costs[path].sum()) for name, path in paths}
 
-    @property
+    @cached_property
     def horizon(self) -> Horizon:
         """The nodes in time that the plan covers."""
-        return self.request.horizon
+        whole, skipped = self.request.horizon, self.solution.skipped
+        return Horizon.chain(len(whole) - skipped, whole.base) if skipped else whole
 
     @cached_property
     def stage(self) -> NumericStage:
@@ -155,7 +163,7 @@ class Plan:
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """Return the limit violations of an elastic plan, p.u., in the form of :meth:`quantities`."""
-        network, stages = self.network, self.problem.stages
+        network, stages = self.network, self.stages
         return {
             (slack.kind, name): slack.spread(
                 self.solution.value(name), len(network.tables[slack.kind]), stages
@@ -181,12 +189,17 @@ class Plan:
         if prices is None or not self.short:
             return ()
         slacks = self.model.slacks.values()
-        return shortages(slacks, shortfall_due(self), self.network, prices, self.horizon, self.times)
+        return shortages(slacks, shortfall_due(self), self.network, prices, self.horizon, self._moments)
 
     @property
     def penalty(self) -> float:
         """Penalty of the shortfalls of an elastic plan, $; 0 if every limit is hard."""
-        return sum(float(self.solution.value(name).sum()) for name in penalty_outputs(self.model))
+        return _penalty(self.model, self.solution)
+
+    @property
+    def program_penalty(self) -> float:
+        """Penalty of the whole program, $, with stages before a plan that ends with the data."""
+        return _penalty(self.model, replace(self.solution, skipped=0))
 
     def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
         """Return the states after the first stage, in physical units.
@@ -211,7 +224,7 @@ class Plan:
             name = f"{state.name}_next" if state.role == "stock" else state.name
             if happened is not None and (state.role == "stock" or not committed):
                 values = happened[state.kind, name]
-            elif state.role == "stock" or not committed:
+            elif state.role == "stock" or not committed or self.stages == 1 < self.problem.stages:
                 values = self.solution.value(name)[:, 0]
             elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
@@ -237,7 +250,7 @@ class Plan:
         ]
 
     def _points(self, name: str) -> Array:
-        return self.solution.program.variables[name].read(self.solution.x)
+        return self.solution.variable(name)
 
     @cached_property
     def data(self) -> xr.Dataset:
@@ -254,7 +267,7 @@ class Plan:
             name: (kind, *described[name], array)
             for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
-        made = dataset(self.network, values, self.times)
+        made = dataset(self.network, values, self._moments)
         made.attrs |= {
             "network": self.network.name,
             "formulation": self.problem.formulation.name,
@@ -312,8 +325,16 @@ class Plan:
 
     @property
     def times(self) -> Array:
-        """Hours at which the stages begin."""
-        return self.time * self.horizon.base + self.horizon.begins
+        """Hours at which the stages begin, counted from step 0."""
+        return self._moments.hours
+
+    @property
+    def _moments(self) -> Times:
+        return self.problem.times(self.time, self.horizon)
+
+
+def _penalty(model: Model, solution: Solution) -> float:
+    return sum(float(solution.value(name).sum()) for name in penalty_outputs(model))
 
 
 def _with_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:

@@ -100,6 +100,7 @@ class Controller:
         self.attempts: list[Attempt] = []
         self.futures: Futures | None = None
         self._last: Plan | None = None
+        self._repeated = problem.profiles
 
     def begin(self) -> None:
         """Start a run and discard the history of the last one."""
@@ -159,7 +160,9 @@ class Controller:
         if self.forecast is None and self.scenarios is None:
             return None
         problem, forecast = self.problem, self.forecast or Perfect()
-        expected = Profiles.of(forecast.expected(problem.profiles, time, problem.horizon.steps))
+        horizon = problem.horizon_from(time)
+        actual = self._actual(time + horizon.steps)
+        expected = Profiles.of(forecast.expected(actual, time, horizon.steps))
         where = f"forecast {type(forecast).__name__} at step {time}"
         self._check_expected(expected, where)
         futures = [expected]
@@ -167,15 +170,15 @@ class Controller:
             self.futures = self.scenarios.futures(
                 expected,
                 time,
-                problem.horizon,
-                actual=problem.profiles,
+                horizon,
+                actual=actual,
                 forecast=forecast,
                 network=problem.network,
             )
             futures = list(self.futures.series)
-            for name, future in zip(problem.horizon.scenarios, futures, strict=True):
+            for name, future in zip(horizon.scenarios, futures, strict=True):
                 self._check_expected(future, f"{where}, scenario {name!r}")
-        ahead = problem.expected(futures)
+        ahead = problem.expected(futures, horizon)
         if ("generator", "p_max") in ahead:  # never below minimum output
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
             ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
@@ -194,3 +197,9 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
+
+    def _actual(self, steps: int) -> Profiles:
+        """Return the realised series; with at least ``steps`` values if they repeat."""
+        if self.problem.at_end == "repeat" and (self._repeated.length or steps) < steps:
+            self._repeated = self.problem.profiles.repeated(steps)
+        return self._repeated
