@@ -66,7 +66,7 @@ def template(
     price
         Whether the file has no costs.
     """
-    head = "# A scenario: a network, time series, a controller and a closed loop. All keys: docs/scenarios.md.\n\n"
+    head = "# A scenario: network, time series, controller and closed loop. Keys: docs/scenarios.md.\n\n"
     if network is None:
         return head + _OWN_NETWORK + "\n" + _REST.format(steps=12, horizon=8, load="town", more=20)
     loads = {n: c for n, c in network.of(Load).items() if c.in_service and c.p > 0}
