@@ -89,12 +89,14 @@ class Report:
         violation, and so is power without a source (``p_shortage`` and the like), without which the
         balance does not hold.
     cost
-        Recomputed operating cost over all stages, $.
+        Recomputed operating cost over all stages, in the currency of the network.
     unchecked
         Items that could not be verified because a formulation or device is from another package.
     simultaneous
         Maximum power, p.u., at which a storage with losses charges and discharges simultaneously.
         This is not a violation but shows that the storage model is not tight.
+    currency
+        Name of the currency of the network.
     """
 
     violations: dict[str, Violation] = field(default_factory=dict)
@@ -102,6 +104,7 @@ class Report:
     cost: float = 0.0
     simultaneous: float = 0.0
     unchecked: tuple[str, ...] = ()
+    currency: str = "$"
 
     @property
     def max_violation(self) -> float:
@@ -134,7 +137,7 @@ class Report:
             for v in sorted(family.values(), key=lambda v: -v.value)
         ]
         left_out = [f"{'not checked':<22} {what}" for what in self.unchecked]
-        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} $", *left_out])
+        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} {self.currency}", *left_out])
 
 
 def check(
@@ -313,7 +316,7 @@ class _Checker:
         self.position = {bus: i for i, bus in enumerate(self.buses.names)}
         kinds = dict.fromkeys(type(c) for c in network.of(Component).values() if c.in_service)
         self.others = [kind for kind in kinds if not issubclass(kind, BUILT_IN)]  # from other packages
-        self.report = Report()
+        self.report = Report(currency=network.currency)
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
         """Run all checks."""

@@ -61,7 +61,7 @@ class Plan:
         self.network = network
 
     def __repr__(self) -> str:
-        cost = f", {self.objective:.6g} $" if self.optimal else ""
+        cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
         return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
 
     @property

@@ -22,6 +22,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.network.quantities import Basis
 from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
@@ -122,8 +123,13 @@ def read_document(path: str | Path) -> Document:
     return Document(path, *parse(read_text(path, ScenarioError, _MOST_BYTES), str(path)))
 
 
-def validated(document: Document, content: Any, model: type[Model]) -> Model:
+def validated(document: Document, content: Any, model: type[Model], basis: Basis | None = None) -> Model:
     """Validate the content of a document, with overrides applied, against a schema.
+
+    Parameters
+    ----------
+    basis
+        What the values of quantities with units depend on.
 
     Raises
     ------
@@ -132,7 +138,7 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
         line, column and accepted values.
     """
     try:
-        return model.model_validate(content)
+        return model.model_validate(content, context=basis)
     except ValidationError as error:
         faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]

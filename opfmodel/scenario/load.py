@@ -15,6 +15,7 @@ from opfmodel.data.yaml import MOST_LEVELS
 from opfmodel.errors import nearest, shown
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
+from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage
@@ -63,16 +64,16 @@ def load_scenario(
     if variant is not None:
         document = document.over(("variants", variant))
     _check_numbers(document, content)
-    settings = validated(document, content, ScenarioFile)
+    settings = validated(document, content, ScenarioFile, _basis(content))
     name = document.path.stem if settings.name is None else settings.name
     check_name(document, ("name",), name)
     for each in settings.variants:
         check_name(document, ("variants", each), each)
     with document.located("network"):
-        declarations = Declarations(document, settings.network)
+        declarations = Declarations(document, settings.network, settings.currency)
         network = declarations.network(name)
         declarations.check(network)
-    cost = make_objective(document, ("cost",), settings.cost)
+    cost = make_objective(document, ("cost",), settings.cost, settings.basis)
     settings, calendar = settled(document, settings, network)
     profiles = make_profiles(document, settings, network, calendar)
     forecast = make_forecast(document, settings)
@@ -98,6 +99,12 @@ def load_scenario(
     title = name if variant is None else f"{name}:{variant}"
     scenario = Scenario(title, document, problem, cost, forecast, settings)
     return scenario
+
+
+def _basis(content: Mapping[str, Any]) -> Basis:
+    """Return what the values of quantities depend on; a currency that is none is found by the schema."""
+    currency = content.get("currency", CURRENCY)
+    return Basis(CURRENCY if currency_fault(currency) else currency)
 
 
 def _problem(
