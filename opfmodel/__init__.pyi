@@ -63,3 +63,5 @@ from .simulation import (
     Run as Run,
     simulate as simulate,
 )
+
+__version__: str
