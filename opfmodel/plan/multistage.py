@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.calendar import Times
+from opfmodel.data.calendar import Times, duration
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -209,7 +209,7 @@ class MultiStage:
             )
         if stated is not None and calendar is not None and not calendar.has_step(stated):
             raise ModelError(
-                f"step = {stated!r}: the time series have a step of {calendar.step:g} h; "
+                f"step = {stated!r}: the time series have steps of {duration(calendar.step)}; "
                 "leave the step out, or resample the series"
             )
         if isinstance(given, Horizon):
