@@ -61,12 +61,26 @@ def test_quadratic_costs_are_those_of_pypsa() -> None:
     assert found == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_phase_shift_is_what_pypsas_optimum_neglects() -> None:
-    n = meshed(steps=2)
-    n.transformers.loc["trafo", "phase_shift"] = 10.0
+@pytest.mark.parametrize("neglected", ["phase shift", "shunt", "magnetising branch"])
+def test_what_pypsas_optimum_neglects_is_the_only_difference(neglected: str) -> None:
+    n = meshed()
+    if neglected == "phase shift":
+        n.transformers.loc["trafo", "phase_shift"] = 10.0
+    elif neglected == "magnetising branch":
+        n.transformers.loc["trafo", ["b", "model"]] = -4.0, "t"
+    else:
+        n.add("ShuntImpedance", "coil", bus="c", g=1e-4)
     expected, found = optima(n)
     assert abs(found / expected - 1) > 1e-4
-    assert om.from_pypsa(n).trafo.shift == 10.0
+    if neglected == "magnetising branch":
+        n.transformers.loc["trafo", "model"] = "pi"
+    elif neglected == "phase shift":
+        n.transformers.loc["trafo", "phase_shift"] = 0.0
+    else:
+        n.remove("ShuntImpedance", "coil")
+        n.add("Load", "coil", bus="c", p_set=1e-4 * 110**2)
+    expected, found = optima(n)
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 @st.composite
@@ -99,12 +113,12 @@ def networks(draw: st.DrawFn) -> pypsa.Network:
     for i, at in enumerate(buses):
         n.add("Load", at, bus=at, p_set=series(st.floats(0, 40)))  # named as its bus
         n.add("Generator", f"backup{i}", bus=at, p_nom=100, marginal_cost=200.0)
+    retired = draw(st.booleans())  # PyPSA itself fails where some units are inactive and others have ramps
     for i in range(draw(st.integers(0, 2))):
-        ramp = draw(st.sampled_from([np.nan, 0.2, 0.6]))
+        ramp = np.nan if retired else draw(st.sampled_from([np.nan, 0.2, 0.6]))
         n.add("Generator", f"unit{i}", bus=draw(bus), p_nom=draw(st.floats(0, 60)), p_max_pu=series(share),
-              # with ramp limits, PyPSA itself fails at inactive generators
               marginal_cost=series(st.floats(-20, 60)), ramp_limit_up=ramp, ramp_limit_down=ramp,
-              active=not np.isnan(ramp) or draw(st.booleans()))  # fmt: skip
+              active=not retired or draw(st.booleans()))  # fmt: skip
     cyclic = draw(st.booleans())
     for i in range(draw(st.integers(0, 2))):
         power, full = draw(st.floats(1, 30)), draw(st.floats(0.5, 5))
@@ -176,10 +190,11 @@ def test_the_slack_bus_is_that_of_pypsa_in_every_island() -> None:
     n.add("Line", ["ab", "cd"], bus0=["a", "c"], bus1=["b", "d"], x=1.0, s_nom=10)
     n.add("Generator", ["first", "slack", "pv", "last"], bus=["a", "b", "c", "d"], p_nom=10,
           control=["PQ", "Slack", "PV", "Slack"])  # fmt: skip
+    n.add("Generator", "retired", bus="a", control="PV", active=False)
     network = om.from_pypsa(n)
     assert [name for name, bus in network.of(om.Bus).items() if bus.reference] == ["b", "d"]
     assert {name: g.regulates for name, g in network.of(om.Generator).items()} == {
-        "first": False, "slack": True, "pv": True, "last": True,
+        "first": False, "slack": True, "pv": True, "last": True, "retired": True,
     }  # fmt: skip
 
 
