@@ -67,11 +67,12 @@ class Formulation:
 
 
 def angles(model: Model) -> Expression:
-    """Declare ``va``, zero at the reference bus of every island."""
+    """Declare ``va``, zero at the reference bus of every island; it starts without flow."""
     bus = model.network.bus
     free = np.full(len(bus), np.inf)
     free[model.network.reference] = 0.0
-    return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+    start = model.network.resting_angle
+    return model.variable("bus", "va", -free, free, unit="deg", start=start, description="voltage angle")
 
 
 def resistive(network: PerUnitNetwork) -> list[str]:
