@@ -83,6 +83,16 @@ def test_what_pypsas_optimum_neglects_is_the_only_difference(neglected: str) -> 
     assert found == pytest.approx(expected, rel=1e-6)
 
 
+def test_overlapping_charge_and_discharge_keep_to_the_limits_of_their_snapshot() -> None:
+    n = snapshots(3, 1.0)
+    n.add("Bus", "a", v_nom=20.0)
+    n.add("Generator", "waste", bus="a", p_nom=50, marginal_cost=-10)
+    n.add("StorageUnit", "battery", bus="a", p_nom=10, max_hours=0.2, efficiency_store=0.5, efficiency_dispatch=0.5,
+          p_min_pu=[-1.0, -0.2, -0.6], p_max_pu=[0.3, 1.0, 0.1])  # fmt: skip
+    expected, found = optima(n)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
 @st.composite
 def networks(draw: st.DrawFn) -> pypsa.Network:
     steps = draw(st.integers(1, 4))
@@ -165,7 +175,7 @@ def test_the_voltages_of_transformers_are_those_of_pypsa(model: str, tap_side: i
     for bus, kv in (("high", 110.0), ("middle", 20.0), ("end", 20.0)):
         n.add("Bus", bus, v_nom=kv, v_mag_pu_set=1.03 if bus == "high" else 1.0)
     n.add("Transformer", "own", bus0="high", bus1="middle", model=model, x=0.11, r=0.01, g=0.002, b=-0.03,
-          s_nom=40, tap_ratio=0.94, tap_side=tap_side, phase_shift=-8.0)  # fmt: skip
+          s_nom=40, tap_ratio=0.94, tap_side=tap_side, phase_shift=147.0)  # fmt: skip
     n.add("Transformer", "typed", bus0="high", bus1="end", type="25 MVA 110/20 kV", tap_position=-3,
           num_parallel=2, model=model)  # fmt: skip
     n.add("Line", "typed", bus0="middle", bus1="end", type="NA2XS2Y 1x240 RM/25 12/20 kV", length=30.0,
