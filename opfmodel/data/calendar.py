@@ -117,43 +117,40 @@ class Calendar:
         return steps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Times:
     """Beginnings of successive stages: hours, or time stamps where there is a calendar.
 
     Attributes
     ----------
-    first
-        Step of the first stage.
-    stages
-        Number of stages.
+    steps
+        Step at which each stage begins.
     step
-        Length of a stage, h.
+        Length of a step, h.
     """
 
-    first: int
-    stages: int
+    steps: npt.NDArray[np.intp]
     step: float
     calendar: Calendar | None = None
 
     @property
     def hours(self) -> npt.NDArray[np.float64]:
         """Hours at which the stages begin, counted from step 0."""
-        return (self.first + np.arange(self.stages, dtype=float)) * self.step
+        return np.asarray(self.steps * self.step, dtype=float)
 
     @property
     def shown(self) -> tuple[str, ...]:
         """Beginnings of the stages for messages: ``hour 3``, or local times."""
         if self.calendar is None:
             return tuple(f"hour {hour:g}" for hour in self.hours)
-        return tuple(map(self.calendar.shown, range(self.first, self.first + self.stages)))
+        return tuple(map(self.calendar.shown, self.steps.tolist()))
 
     def coordinate(self) -> tuple[str, npt.NDArray[Any], dict[str, str]]:
         """Return the coordinate ``time`` of results: hours, or times in UTC with the zone as an attribute."""
         about = {"long_name": "start of the stage"}
         if self.calendar is None:
             return "time", self.hours, {"units": "h", **about}
-        stamps = self.calendar.stamps(self.stages, self.first)
+        stamps = self.calendar.stamps(int(self.steps.max(initial=0)) + 1)[self.steps]
         return "time", stamps, {"zone": self.calendar.zone, **about}
 
 
