@@ -38,6 +38,10 @@ from .plan import (
     MultiStage as MultiStage,
     Plan as Plan,
 )
+from .plan.power_flow import (
+    PowerFlowResult as PowerFlowResult,
+    power_flow as power_flow,
+)
 from .plan.single_stage import (
     SingleStageSequence as SingleStageSequence,
     single_stage_sequence as single_stage_sequence,

@@ -23,7 +23,7 @@ BRANCH = (
 )
 OTHER_COSTS = "mpc.gencost = [" + "2 0 0 2 99 0;" * 5 + "];"
 NO_CONSTANT = re.sub(r"(?<=\t2)\t([0-9]+)\t0;", r"\t\1;", CASE5)  # costs without their last column
-STORAGE = "mpc.storage = [\n1 0 0 20 100 50 40 0.9 0.95 0 -10 10 0 0 0 0 1;\n];\n"
+STORAGE = "mpc.storage = [\n1 7.5 -3 20 100 50 40 0.9 0.95 0 -10 10 0 0 0 0 1;\n];\n"
 
 
 def replaced(old: str, new: str, text: str = CASE5) -> str:
@@ -218,7 +218,8 @@ def test_data_of_every_kind_out_of_service_are_kept_in_files(tmp_path: Path) -> 
     network = om.read_network(DATA / "matpower" / "case5.m")
     idle = {"in_service": False}
     cost = om.PiecewiseLinear([(0.0, 0.0), (0.0, 5.0)])
-    network.add("gen6", om.Generator("1", p=(math.inf, -1.0), q=(3.0, -3.0), cost=cost, **idle))
+    held = {"pg_set": 7.0, "qg_set": -2.0, "vm_set": 1.02}
+    network.add("gen6", om.Generator("1", p=(math.inf, -1.0), q=(3.0, -3.0), cost=cost, **held, **idle))
     network.add("1-3", om.Branch("1", "3", r=0, x=0, tap=-1, rating=-5, angle=(3, -3), **idle))
     network.add("6", om.Bus(vm=(1.1, 0.9), **idle))
     network.add("storage1", om.Storage("1", energy=5, power=(3, 10), q=(1, -1), initial=99, **idle))
@@ -311,8 +312,10 @@ def expected(case: dict) -> dict:
     for b in case["mpc.bus"]:
         number = f"{b[0]:.15g}"
         add(
-            number, om.Bus(vm=(b[12], b[11]), base_kv=b[9] or None, reference=b[1] == 3, in_service=b[1] != 4)
-        )
+            number,
+            om.Bus(vm=(b[12], b[11]), base_kv=b[9] or None, reference=b[1] == 3,
+                   va_set=b[8] if b[1] == 3 else 0.0, in_service=b[1] != 4),
+        )  # fmt: skip
         if b[2] or b[3]:
             add(f"load{number}", om.Load(number, p=b[2], q=b[3], in_service=b[1] != 4))
         if b[4] or b[5]:
@@ -325,6 +328,7 @@ def expected(case: dict) -> dict:
             om.Branch(*ends, r=r[2], x=r[3], b=r[4], rating=r[5] or None, tap=r[8] or 1.0, shift=r[9], angle=angle,
                       in_service=r[10] != 0),
         )  # fmt: skip
+    types = {b[0]: b[1] for b in case["mpc.bus"]}
     for i, (g, c) in enumerate(zip(case["mpc.gen"], case["mpc.gencost"], strict=False), start=1):
         count = int(c[3])
         assert count == c[3] >= 1, "accepted without a valid number of cost coefficients"
@@ -336,13 +340,17 @@ def expected(case: dict) -> dict:
             assert c[0] == 2 and len(numbers) == count and not any(numbers[:-3])
             cost = om.Polynomial(*([0.0] * (3 - count) + numbers[-3:]))
         p, q = (g[9], g[8]), (g[4], g[3])
-        add(f"gen{i}", om.Generator(f"{g[0]:.15g}", p=p, q=q, ramp=ramp, cost=cost, in_service=g[7] > 0))
+        held = {"pg_set": g[1], "qg_set": g[2], "vm_set": g[5] or None, "regulates": types[g[0]] in (2, 3)}
+        add(
+            f"gen{i}",
+            om.Generator(f"{g[0]:.15g}", p=p, q=q, ramp=ramp, cost=cost, **held, in_service=g[7] > 0),
+        )
     for s in case.get("mpc.storage", []):
         number = f"{s[0]:.15g}"
         add(
             f"storage{number}",
             om.Storage(number, energy=s[4], power=(-s[6], s[5]), q=(s[10], s[11]), initial=s[3],
-                       charge_efficiency=s[7], discharge_efficiency=s[8], rating=s[9] if s[9] > 0 else None,
+                       ps_set=s[1] or None, qs_set=s[2] or None, charge_efficiency=s[7], discharge_efficiency=s[8], rating=s[9] if s[9] > 0 else None,
                        in_service=s[16] != 0),
         )  # fmt: skip
     return found

@@ -32,6 +32,8 @@ class Bus(Component):
         Nominal voltage, kV; only used in network files.
     reference
         Whether this is the reference bus of its island, with angle zero.
+    va_set
+        Angle of the reference bus in a power flow, degrees.
     """
 
     kind: ClassVar[str] = "bus"
@@ -40,6 +42,7 @@ class Bus(Component):
     vm: tuple[float, float] = span("p.u.", (0.9, 1.1), at_least=0.0)
     base_kv: float | None = number("kV", None, above=0.0, optional=True, series=False)
     reference: bool = flag(False)
+    va_set: float = number("deg", 0.0, series=False)
     in_service: bool = flag(True)
 
 
@@ -118,6 +121,9 @@ class Generator(Component):
         Set-point of the voltage at its bus in a power flow, p.u.; None for 1, within the limits of the bus.
     regulates
         Whether the generator holds ``vm_set`` in a power flow; otherwise it injects ``qg_set``.
+    participation
+        Weight in the distributed slack of a power flow, relative to the other generators of the island;
+        None for ``p[1]`` if it regulates, else 0.
     """
 
     kind: ClassVar[str] = "generator"
@@ -132,6 +138,7 @@ class Generator(Component):
     qg_set: float | None = number("MVAr", None, optional=True, series=False)
     vm_set: float | None = number("p.u.", None, above=0.0, optional=True, series=False)
     regulates: bool = flag(True)
+    participation: float | None = number("", None, at_least=0.0, optional=True, series=False)
     in_service: bool = flag(True)
 
 

@@ -152,6 +152,7 @@ class _Reader:
         self.network = network
         self.default_cost = default_cost
         self.numbers: dict[str, int] = {}  # number of components per requested name
+        self.regulated = {record["id"] for record in case.buses if record["kind"] in ("PV", "REF")}
         self.bus_row = {record["id"]: row for row, record in enumerate(case.buses)}
 
     def read(self) -> Network:
@@ -195,6 +196,7 @@ class _Reader:
                     vm=(record["vmin"], record["vmax"]),
                     base_kv=record["base_kv"] or None,
                     reference=record["kind"] == "REF",
+                    va_set=record["va"] if record["kind"] == "REF" else 0.0,
                     in_service=record["kind"] != "ISOLATED",
                 ),
                 "bus",
@@ -250,6 +252,11 @@ class _Reader:
                     q=(record["qmin"], record["qmax"]),
                     ramp=2.0 * ramp_30 if ramp_30 else None,
                     cost=cost,
+                    pg_set=record["pg"],
+                    qg_set=record["qg"],
+                    vm_set=record["vg"] or None,
+                    regulates=record["bus"] in self.regulated
+                    and record["voltage_regulation_on"] is not False,
                     in_service=in_service,
                 ),
                 "gen",
@@ -304,6 +311,8 @@ class _Reader:
                 power=(-number["discharge_rating"], number["charge_rating"]),
                 q=(number["qmin"], number["qmax"]),
                 initial=number["energy"],
+                ps_set=number["ps"] or None,
+                qs_set=number["qs"] or None,
                 charge_efficiency=number["charge_efficiency"],
                 discharge_efficiency=number["discharge_efficiency"],
                 rating=rating if rating > 0 else None,

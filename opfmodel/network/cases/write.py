@@ -34,6 +34,7 @@ def write_network(network: Network, path: str | Path) -> Path:
     path = Path(path)
     if path.suffix != ".m":
         raise CaseError(f"{path}: the name of a MATPOWER case must end in .m")
+    _warn_of_set_points(path, network)
     names = network.of(Bus)
     plain = all(re.fullmatch("[1-9][0-9]{0,14}", name) for name in names)
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
@@ -46,7 +47,7 @@ def write_network(network: Network, path: str | Path) -> Path:
         "version": 2,
         "baseMVA": network.base_mva,
         "bus": _bus_rows(network, ids),
-        "gen": [_generator_row(g, ids, network.base_mva) for g in network.of(Generator).values()],
+        "gen": [_generator_row(network, g, ids) for g in network.of(Generator).values()],
         "branch": [_branch_row(path, n, b, ids) for n, b in network.of(Branch).items()],
         "gencost": _cost_rows(network.of(Generator).values()),
     }
@@ -72,21 +73,48 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
         if shunt.in_service:
             demand[shunt.bus][2] += shunt.g
             demand[shunt.bus][3] += shunt.b
-    with_generator = {g.bus for g in network.of(Generator).values()}
+    regulated = {g.bus for g in network.of(Generator).values() if g.regulates}
     rows = []
     for name, bus in network.of(Bus).items():
-        kind = 4 if not bus.in_service else 3 if bus.reference else 2 if name in with_generator else 1
-        rows.append(
-            [ids[name], kind, *demand[name], 1, 1.0, 0.0, bus.base_kv or 0.0, 1, bus.vm[1], bus.vm[0]]
-        )
+        kind = 4 if not bus.in_service else 3 if bus.reference else 2 if name in regulated else 1
+        voltage = [1.0, bus.va_set, bus.base_kv or 0.0]
+        rows.append([ids[name], kind, *demand[name], 1, *voltage, 1, bus.vm[1], bus.vm[0]])
     return rows
 
 
-def _generator_row(generator: Generator, ids: Mapping[str, int], base_mva: float) -> list[float]:
+def _generator_row(network: Network, generator: Generator, ids: Mapping[str, int]) -> list[float]:
     (p_min, p_max), (q_min, q_max) = generator.p, generator.q
+    bus = network[generator.bus]
+    assert isinstance(bus, Bus)
+    pg, qg, vm = (
+        _within(default, limits) if value is None else value
+        for value, default, limits in (
+            (generator.pg_set, 0.0, generator.p),
+            (generator.qg_set, 0.0, generator.q),
+            (generator.vm_set, 1.0, bus.vm),
+        )
+    )
     ramp_30 = 0.0 if generator.ramp is None else generator.ramp / 2
-    row = [ids[generator.bus], max(p_min, 0.0), 0.0, q_max, q_min, 1.0, base_mva]
+    row = [ids[generator.bus], pg, qg, q_max, q_min, vm, network.base_mva]
     return [*row, float(generator.in_service), p_max, p_min, *[0.0] * 8, ramp_30, 0.0, 0.0]
+
+
+def _within(value: float, limits: tuple[float, float]) -> float:
+    """Return the number within limits that is nearest to a value."""
+    return min(max(value, limits[0]), limits[1])
+
+
+def _warn_of_set_points(path: Path, network: Network) -> None:
+    """Warn of set-points that have no column: what a generator does follows from the type of its bus."""
+    generators = network.of(Generator)
+    regulated = {g.bus for g in generators.values() if g.regulates}
+    regulated |= {name for name, bus in network.of(Bus).items() if bus.reference}
+    mixed = [name for name, g in generators.items() if not g.regulates and g.bus in regulated]
+    if mixed:
+        warn(f"{path}: {listed(mixed)}: MATPOWER lets all generators of a bus regulate its voltage, or none")
+    weighted = [name for name, g in generators.items() if g.participation is not None]
+    if weighted:
+        warn(f"{path}: {listed(weighted)}: participation is left out")
 
 
 def _branch_row(path: Path, name: str, branch: Branch, ids: Mapping[str, int]) -> list[float]:
@@ -133,7 +161,7 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
             )
         rating = 0.0 if storage.rating is None else storage.rating
         values = [
-            ids[storage.bus], 0, 0, storage.initial, storage.energy, p_max, -p_min,
+            ids[storage.bus], storage.ps_set or 0, storage.qs_set or 0, storage.initial, storage.energy, p_max, -p_min,
             storage.charge_efficiency, storage.discharge_efficiency, rating, q_min, q_max,
             0, 0, 0, 0, int(storage.in_service),
         ]  # fmt: skip
