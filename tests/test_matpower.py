@@ -73,7 +73,7 @@ def written(folder: Path, text: str) -> Path:
         (replaced(BUS, "2" + BUS[1:]), 25, "mpc.bus", "BUS_I = 2: duplicate"),
         (replaced(BUS, BUS.replace("1	2", "1	5")), 24, "mpc.bus", "BUS_TYPE = 5:"),
         (replaced(BUS, BUS.replace("1	2", "1	1.5")), 24, "mpc.bus", "BUS_TYPE = 1.5:"),
-        (CASE5 + STORAGE.replace("\n1 0", "\n1.5 0"), 64, "mpc.storage", "STORAGE_BUS = 1.5:"),
+        (CASE5 + STORAGE.replace("\n1 ", "\n1.5 "), 64, "mpc.storage", "STORAGE_BUS = 1.5:"),
         (CASE5 + STORAGE.replace(" 1;", " 7;"), 64, "mpc.storage", "STATUS = 7:"),
         (replaced("230	1	1.1", "230	1	1_1"), 24, "mpc.bus", "'1_1'"),
         (replaced("230	1	1.1", "230	1	1 - 1"), 24, "mpc.bus", "15 numbers"),

@@ -161,8 +161,9 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
             )
         rating = 0.0 if storage.rating is None else storage.rating
         values = [
-            ids[storage.bus], storage.ps_set or 0, storage.qs_set or 0, storage.initial, storage.energy, p_max, -p_min,
-            storage.charge_efficiency, storage.discharge_efficiency, rating, q_min, q_max,
+            ids[storage.bus], storage.ps_set or 0, storage.qs_set or 0,
+            storage.initial, storage.energy, p_max, -p_min, storage.charge_efficiency,
+            storage.discharge_efficiency, rating, q_min, q_max,
             0, 0, 0, 0, int(storage.in_service),
         ]  # fmt: skip
         rows.append("\t" + "\t".join(_plain(v) for v in values) + ";")
