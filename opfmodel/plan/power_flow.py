@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
 from opfmodel.devices.load import LoadDevice
 from opfmodel.errors import ModelError
@@ -73,7 +74,7 @@ class PowerFlowResult:
         """Voltages, flows and injections in physical units, named as in ``plan.data``."""
         from opfmodel.results import dataset
 
-        made = dataset(self._arrays, self._quantities, np.zeros(1))
+        made = dataset(self._arrays, self._quantities, Times(0, 1, 1.0))
         made.attrs |= {
             "network": self.network.name,
             "formulation": AC.name,
