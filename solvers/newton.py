@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from solvers.assembly import Evaluator
 from solvers.errors import ProgramError
-from solvers.program import Array
+from solvers.program import Array, Index
 
 __all__ = ["Root", "find_root"]
 
-_SHORTEST = 1.0 / 64  # the shortest step that is tried before the full one is taken as it is
+_SHORTEST = 1.0 / 64  # the shortest fraction of a step; near a solution the full one is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +47,9 @@ def find_root(
 ) -> Root:
     r"""Solve ``rows(x, p) = 0`` for the free variables, from a starting point.
 
-    Each step solves :math:`J_{free}\, d = -g` with the exact sparse Jacobian. It is halved while it does
-    not reduce the residual; if no fraction does, the full step is taken, because Newton's method
-    for power flows often leaves a plateau that way.
+    Each step solves :math:`J_{free}\, d = -g` with the exact sparse Jacobian. It is halved until it
+    reduces :math:`\|g\|_2`. Where no fraction does, the Jacobian is nearly singular and the method ends:
+    most likely there is no solution nearby.
 
     Parameters
     ----------
@@ -77,35 +78,40 @@ def find_root(
         )
     x = np.array(start, dtype=float)
     values = evaluator.rows(x, parameters)
-    for iteration in range(limit):
-        residual = _largest(values)
-        if residual <= tolerance or not np.isfinite(residual):
-            return Root(x, residual, iteration, residual <= tolerance)
-        try:
-            factors = spla.splu(evaluator.jacobian(x, parameters)[:, unknown])
-        except RuntimeError:  # exactly singular
-            return Root(x, residual, iteration, False)
-        step = factors.solve(-values)
-        x, values = _advance(evaluator, parameters, x, unknown, step, float(np.linalg.norm(values)))
+    iterations = 0
+    while iterations < limit and _largest(values) > tolerance:
+        step = _step(evaluator.jacobian(x, parameters)[:, unknown], values)
+        following = None if step is None else _follow(evaluator, parameters, x, unknown, step, values)
+        if following is None:
+            break
+        x, values = following
+        iterations += 1
     residual = _largest(values)
-    return Root(x, residual, limit, residual <= tolerance)
+    return Root(x, residual, iterations, residual <= tolerance)
 
 
-def _advance(
-    evaluator: Evaluator, parameters: Array, x: Array, unknown: npt.NDArray[np.intp], step: Array, norm: float
-) -> tuple[Array, Array]:
-    """Return the next point and its row values."""
-    length = 1.0
+def _step(jacobian: sp.csc_matrix, values: Array) -> Array | None:
+    """Return the Newton step; None if the Jacobian is singular."""
+    try:
+        step: Array = spla.splu(jacobian).solve(-values)
+    except RuntimeError:
+        return None
+    return step
+
+
+def _follow(
+    evaluator: Evaluator, parameters: Array, x: Array, unknown: Index, step: Array, values: Array
+) -> tuple[Array, Array] | None:
+    """Return point and rows after the largest fraction of a step that reduces the rows, if there is one."""
+    norm, length = np.linalg.norm(values), 1.0
     while length >= _SHORTEST:
         point = x.copy()
         point[unknown] += length * step
-        values = evaluator.rows(point, parameters)
-        if np.linalg.norm(values) < norm:
-            return point, values
+        found = evaluator.rows(point, parameters)
+        if np.linalg.norm(found) < norm:
+            return point, found
         length /= 2.0
-    point = x.copy()
-    point[unknown] += step
-    return point, evaluator.rows(point, parameters)
+    return None
 
 
 def _largest(values: Array) -> float:

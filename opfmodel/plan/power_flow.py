@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.calendar import Times
 from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
 from opfmodel.devices.load import LoadDevice
 from opfmodel.errors import ModelError
@@ -20,83 +15,15 @@ from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.components import BUILT_IN
 from opfmodel.network.network import Network
+from opfmodel.plan.power_flow_result import PowerFlowResult
 from opfmodel.plan.set_points import Held, held, slack_shares
 from solvers import Evaluator, Program
 from solvers.newton import Root, find_root
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["PowerFlowResult", "power_flow"]
 
 Array = npt.NDArray[np.float64]
 SLACKS = ("single", "distributed")
-
-
-@dataclass(frozen=True, eq=False)
-class PowerFlowResult:
-    """The state of a network at its set-points.
-
-    Attributes
-    ----------
-    status
-        ``converged`` or ``diverged``. A power flow that diverged has NaN for all quantities.
-    max_mismatch
-        Largest active or reactive power that is missing in the balance of a bus at the last point, MVA.
-    iterations
-        Steps of Newton's method, over all attempts.
-    slack
-        Active power by which the generators of each island exceed their set-points, MW, by the name of
-        its reference bus.
-    limited
-        Buses whose generators are at a limit of reactive power and do not hold their voltage.
-    notes
-        What was left out of the network and chosen for it.
-    """
-
-    network: Network
-    status: str
-    max_mismatch: float
-    iterations: int
-    slack: Mapping[str, float]
-    limited: tuple[str, ...]
-    notes: tuple[str, ...]
-    _arrays: PerUnitNetwork = field(repr=False)
-    _quantities: Mapping[str, tuple[str, str, str, Array]] = field(repr=False)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the equations are solved."""
-        return self.status == "converged"
-
-    @cached_property
-    def data(self) -> xr.Dataset:
-        """Voltages, flows and injections in physical units, named as in ``plan.data``."""
-        from opfmodel.results import dataset
-
-        made = dataset(self._arrays, self._quantities, Times(0, 1, 1.0))
-        made.attrs |= {
-            "network": self.network.name,
-            "formulation": AC.name,
-            "status": self.status,
-            "step_hours": 1.0,
-        }
-        return made
-
-    @cached_property
-    def loading(self) -> xr.DataArray:
-        """Apparent power at the more loaded end of each branch, % of its rating; NaN without a rating."""
-        ends = (("pf", "qf"), ("pt", "qt"))
-        most = np.max([np.hypot(self.data[p].values[0], self.data[q].values[0]) for p, q in ends], axis=0)
-        rating = self._arrays.branch.rating[:, 0] * self._arrays.base_mva
-        rating = np.where(np.isfinite(rating) & (rating > 0), rating, np.nan)
-        about = {"units": "%", "long_name": "loading"}
-        return self.data["pf"].isel(time=0, drop=True).copy(data=100.0 * most / rating).assign_attrs(about)
-
-    @property
-    def losses(self) -> float:
-        """Active losses of all branches, MW."""
-        return float((self.data["pf"] + self.data["pt"]).sum(skipna=False))
 
 
 def power_flow(
@@ -108,7 +35,7 @@ def power_flow(
     tolerance: float = 1e-8,
     limit: int = 30,
 ) -> PowerFlowResult:
-    r"""Find the voltages of a network at its set-points, by Newton's method.
+    """Find the voltages of a network at its set-points, by Newton's method.
 
     Parameters
     ----------
@@ -188,6 +115,7 @@ class _Flow:
 
     def __init__(self, points: Held, shares: Array, tolerance: float, limit: int) -> None:
         self.points = points
+        self.shares = shares
         self.network = points.network
         self.tolerance, self.limit = tolerance, limit
         self.limited = np.zeros(points.at.size, dtype=bool)
@@ -235,7 +163,7 @@ class _Flow:
     def _starts(self) -> Iterator[Array]:
         """Starting points: angles of a linear power flow, then equal angles."""
         reference = self.points.va[self.network.island]
-        for angles in (self.points.linear_angles(), reference):
+        for angles in (self.points.linear_angles(self.shares), reference):
             x = self.program.default.start.copy()
             x[self.program.variables["vm"].slice] = 1.0
             x[self.program.variables["va"].slice] = angles

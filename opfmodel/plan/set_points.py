@@ -67,7 +67,7 @@ class Held:
         base = total("qg_set")
         return total("q_min") - base, total("q_max") - base
 
-    def linear_angles(self) -> Array:
+    def linear_angles(self, shares: Array) -> Array:
         r"""Angles of a linear power flow :math:`p_f = (\theta_f - \theta_t - \phi) / |z|`, rad.
 
         A start for Newton's method only; unlike the DC formulations it has a solution also for
@@ -80,7 +80,7 @@ class Held:
         signs = np.repeat([1.0, -1.0], len(branch))
         incidence = sp.csr_array((signs, (np.tile(np.arange(len(branch)), 2), ends)), (len(branch), count))
         laplacian = (incidence.T @ sp.diags_array(weight) @ incidence).tocsc()
-        power = self._injections() + incidence.T @ (weight * branch.shift[:, 0])
+        power = self._injections(shares) + incidence.T @ (weight * branch.shift[:, 0])
         angles = self.va[network.island].copy()
         free = np.ones(count, dtype=bool)
         free[self.reference] = False
@@ -90,12 +90,14 @@ class Held:
             angles[unknown] = spla.spsolve(laplacian[unknown][:, unknown], power[unknown] - known)
         return angles
 
-    def _injections(self) -> Array:
-        """Active power injected into each bus by the units at their set-points, at 1 p.u."""
+    def _injections(self, shares: Array) -> Array:
+        """Active power injected into each bus at 1 p.u., if generators share what their island lacks."""
         network = self.network
         total = network.at_buses("generator", network.generator.pg_set)
         for kind, field in (("load", "p"), ("storage", "ps_set"), ("shunt", "g")):
             total = total - network.at_buses(kind, network.tables[kind].arrays[field])
+        lacking = -np.bincount(network.island, total[:, 0])
+        total[:, 0] += network.at_buses("generator", shares * lacking[network.island[network.generator.bus]])
         return np.asarray(total[:, 0])
 
 
