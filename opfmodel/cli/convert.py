@@ -104,7 +104,8 @@ def init(
         text = template()
     else:
         network, price = _priced(from_, lossy)
-        file = os.path.relpath(from_.resolve(), path.resolve().parent)
+        # what is no file has a name, as the grids of SimBench
+        file = os.path.relpath(from_.resolve(), path.resolve().parent) if from_.exists() else str(from_)
         text = template(network, file, lossy=lossy, price=price)
     try:
         replace({path: text.encode()})
