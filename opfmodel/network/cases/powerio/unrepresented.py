@@ -81,7 +81,9 @@ _EXTRAS = _words(
     "psse_pl psse_ql psse_ip psse_iq psse_yp psse_yq psse_pdgen psse_qdgen psse_flagstatus psse_intrpt "
     "psse_scal psse_loadtype psse_zr psse_zx psse_rt psse_xt psse_gtap psse_lat psse_long psse_baslod "
     "pslf_circuit pslf_section_id ucte_element_name ucte_geographical_name ucte_order_code "
-    "ucte_power_plant_type ucte_short_circuit_power ucte_xr_ratio ieee_cdf_circuit cgmes_class"
+    "ucte_power_plant_type ucte_short_circuit_power ucte_xr_ratio ieee_cdf_circuit cgmes_class "
+    # of pandapower, whose files without pandapower are checked before
+    "max_loading_percent tap_max tap_min vector_group"
 )
 _TOPOLOGY = _words(
     "component_metadata subnetworks substations voltage_levels bus_breaker_buses calculated_buses "
