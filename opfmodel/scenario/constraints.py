@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from opfmodel.data.columns import read_columns
+from opfmodel.data.grid import Grid
 from opfmodel.errors import (
     ConstraintError,
     IncompatibleError,
@@ -22,13 +22,19 @@ from opfmodel.network.bounds import bounded, is_number
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.document import Document
+from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ScenarioFile
 
 __all__ = ["check_constraints", "read_constraints"]
 
 
-def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
+def read_constraints(document: Document, settings: ScenarioFile, grid: Grid) -> dict[str, CustomConstraint]:
     """Return the constraints of a file, by name.
+
+    Parameters
+    ----------
+    grid
+        The steps that limits cover.
 
     Raises
     ------
@@ -38,11 +44,11 @@ def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, Cu
     made = {}
     for name, values in settings.constraints.items():
         with document.located("constraints", name):
-            made[name] = _constraint(name, values, settings.length, document.path.parent)
+            made[name] = _constraint(name, values, grid, document.path.parent)
     return made
 
 
-def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomConstraint:
+def _constraint(name: str, values: object, grid: Grid, folder: Path) -> CustomConstraint:
     """Build a linear constraint from plain values.
 
     Parameters
@@ -50,8 +56,8 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     values
         ``terms`` and the limits: ``at_least``, ``at_most`` or both, or ``equal``. Each limit is a
         number, a list, or ``{file: , column: }``.
-    steps
-        Number of values required of a time-varying limit.
+    grid
+        The steps that a limit covers.
     folder
         Folder to which file names are relative.
 
@@ -69,7 +75,7 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     terms = values.get("terms")
     if not isinstance(terms, Mapping):
         raise ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
-    limits = {key: _limit(values[key], key, steps, folder) for key in known[1:] if key in values}
+    limits = {key: _limit(values[key], key, grid, folder) for key in known[1:] if key in values}
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
@@ -79,13 +85,14 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     return CustomConstraint.of(name, Linear(terms), **limits)
 
 
-def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[float]:
+def _limit(value: object, key: str, grid: Grid, folder: Path) -> float | list[float]:
     if isinstance(value, Mapping):
-        if set(value) != {"file", "column"}:
+        if not {"file", "column"} <= set(value) <= {"file", "column", *FILE_OPTIONS}:
             raise ConstraintError("must be a number, a list, or {file: , column: }", key)
         path, heading = folder / str(value["file"]), str(value["column"])
         try:
-            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
+            fitted = read_fitted(path, grid, [heading], **{k: value[k] for k in FILE_OPTIONS if k in value})
+            return [float(number) for number in fitted.values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
     numbers = []
@@ -97,6 +104,9 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
         numbers.append(float(number))
     if not isinstance(value, list):
         return numbers[0]
+    steps = grid.steps
+    if grid.at_end == "repeat":
+        numbers = repeated(numbers, steps)
     if len(numbers) < steps:
         raise ConstraintError(f"has {len(numbers)} values; {steps} are needed (steps + horizon - 1)", key)
     return numbers[:steps]

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, mo
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
 from opfmodel.network.quantities import CURRENCY, Basis, In, currency_fault
+from opfmodel.plan.extent import AtEnd
 from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
@@ -48,6 +49,7 @@ class TimeSection(Section):
     zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
     step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = 1.0
     steps: int = Field(1, ge=1)
+    at_end: AtEnd = "error"
 
 
 class EndSection(Section):
