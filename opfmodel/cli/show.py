@@ -153,7 +153,7 @@ def _exceeded(report: Report) -> dict[str, str]:
     worst = report.worst
     if worst is None or worst.relative <= _TOLERATED:
         return {}
-    return {"worst violation": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
+    return {"worst violation": f"{worst.family} at {worst.component}, {worst.moment}: {worst}"}
 
 
 def _measured(summary: Mapping[str, Any]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.errors import IncompatibleError
-from opfmodel.model import Device, Model
+from opfmodel.model import BoundSource, Device, Model
 from opfmodel.network.arrays import Array, Index, Table
 from opfmodel.network.components import Storage
 from solvers import Expression, Rows
@@ -36,7 +36,7 @@ class StorageDevice(Device):
         n, step = len(table), model.step
         low, high = ("power_min", "power_max") if model.reactive else (_lowest, _highest)
         ps = model.variable("storage", "ps", low, high, unit="MW", description="charging power")
-        e = model.stock(
+        e, e_next = model.stock(
             "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
         )
         qs = None
@@ -56,16 +56,17 @@ class StorageDevice(Device):
             lambda solution, _: solution.dual("e_dynamics"),
             "$/MWh",
             "value of one more MWh stored at the end of the stage",
+            rate=False,
         )
         kept = 1.0 - step * table.standing_loss
-        gone = np.flatnonzero(kept < 0.0)
+        gone = np.flatnonzero((kept < 0.0).any(axis=1))
         if gone.size:
-            first = gone[0]
+            first, longest = gone[0], float(np.max(step))
             raise IncompatibleError(
                 f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
-                f"is stored in a stage of {step:g} h; must be at most {1.0 / step:g} per hour"
+                f"is stored in a stage of {longest:g} h; must be at most {1.0 / longest:g} per hour"
             )
-        change = e[:, 1:] - kept * e[:, :-1]
+        change = e_next - kept * e
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
         dynamics = model.build.rows("e_dynamics", n, model.stages)
         model.build.add(change, into=dynamics)
@@ -85,10 +86,19 @@ class StorageDevice(Device):
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:
         """Split the power of storages with losses into charging and discharging."""
         n, stages, step = split.size, model.stages, model.step
-        most_charge = np.maximum(table.power_max[split], 0.0)
-        most_discharge = np.maximum(-table.power_min[split], 0.0)
+
+        def charging(t: Table) -> Array:
+            return np.asarray(np.maximum(t.power_max[split], 0.0))
+
+        def discharging(t: Table) -> Array:
+            return np.asarray(np.maximum(-t.power_min[split], 0.0))
+
+        most_charge, most_discharge = charging(table), discharging(table)
         charge = model.build.variable("pc", n, stages, 0.0, most_charge)
         discharge = model.build.variable("pdis", n, stages, 0.0, most_discharge)
+        # both follow the time series of the limits
+        model.bounds["pc"] = BoundSource("storage", 0.0, charging)
+        model.bounds["pdis"] = BoundSource("storage", 0.0, discharging)
         model.build.constrain("ps_split", ps[split] - charge + discharge == 0.0)
         gain, drain = table.charge_efficiency[split], 1.0 / table.discharge_efficiency[split]
         model.build.add(-step * (gain * charge - drain * discharge), into=dynamics[split])

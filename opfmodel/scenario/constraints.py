@@ -14,6 +14,7 @@ from opfmodel.errors import (
     ProfileError,
     QuantityError,
 )
+from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
@@ -91,7 +92,7 @@ def check_constraints(
         return
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
     with document.located("controller"):
-        model = bare.declare(stages=1)
+        model = bare.declare(Horizon.chain(1, problem.step))
     stage: Any = PhysicalStage(model)
     unpublished: dict[tuple[str, ...], ModelError] = {}
     for name, constraint in constraints.items():

@@ -5,6 +5,7 @@ The tables of ``docs/scenarios.md`` and the JSON Schema are generated from it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,7 +21,16 @@ if TYPE_CHECKING:
     from pydantic import GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["ColumnSection", "ConstraintSection", "NetworkSection", "Of", "ScenarioFile", "Section", "Spec"]
+__all__ = [
+    "MOST_VARIANTS",
+    "ColumnSection",
+    "ConstraintSection",
+    "NetworkSection",
+    "Of",
+    "ScenarioFile",
+    "Section",
+    "Spec",
+]
 
 One = str | dict[str, Any]
 
@@ -39,10 +49,11 @@ _BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {
 _BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
 _BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
 _BY_FORM = Choice(lambda values: "points" in values if values else None)
+_BY_SOURCE = Choice(lambda values: "draw" if "draw" in values else "cases" if "cases" in values else None)
 # The costs, which are the only mappings in fields of components: <section>.<component>.<field>.
 _COSTS = Inside(3, _BY_FORM)
 
-_MOST_VARIANTS = 200
+MOST_VARIANTS = 200
 
 
 @dataclass(frozen=True)
@@ -152,8 +163,42 @@ class SolverSection(Section):
     )
 
 
+class HorizonSection(Section):
+    hours: list[Annotated[float, In("h")]] = Field(min_length=1, description="length of each stage of a plan")
+
+
+class CaseSection(Section):
+    probability: float = Field(description="probability of this future")
+    profiles: Annotated[List, Of("profile")] = Field(
+        default_factory=list, description="rules applied to the expected series after the common part"
+    )
+
+
+class DrawSection(Section):
+    number: int = Field(description="futures to draw from the error model of the forecast")
+    keep: int = Field(description="futures to keep after reduction")
+    seed: int = Field(0, description="seed of the random numbers")
+
+
+class RiskSection(Section):
+    level: float = Field(description="share of the futures that the tail leaves out")
+    weight: float = Field(description="weight of the mean cost of the tail, below 1")
+
+
+class ScenariosSection(Section):
+    common: int = Field(1, ge=0, description="stages at the start that all futures share")
+    cases: dict[str, CaseSection] = Field(default_factory=dict, description="futures by name")
+    draw: DrawSection | None = Field(None, description="futures drawn at random, in place of cases")
+    risk: RiskSection | None = Field(None, description="weighing of expensive futures")
+
+
 class ControllerSection(Section):
-    horizon: int = Field(1, ge=1, description="stages of a plan, at least 1")
+    horizon: Annotated[int, Field(ge=1)] | HorizonSection = Field(
+        1, description="stages of a plan, at least 1, or their lengths"
+    )
+    scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = Field(
+        None, description="futures of a plan, as a tree of scenarios"
+    )
     formulation: Annotated[str, Of("formulation")] = Field(
         "ac", description="equations of the grid in the plans"
     )
@@ -186,6 +231,10 @@ class ControllerSection(Section):
         description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`), solver (`scs`) or both "
         "(`conic:scs`)",
     )
+
+    def lengths(self, step: float) -> list[float]:
+        """Hours of each stage of a plan, for a given length of a step."""
+        return self.horizon.hours if isinstance(self.horizon, HorizonSection) else [step] * self.horizon
 
     @property
     def back_end(self) -> SolverSection:
@@ -292,9 +341,9 @@ class ScenarioFile(Section):
     @field_validator("variants", mode="before")
     @classmethod
     def _few(cls, variants: Any) -> Any:
-        if isinstance(variants, dict) and len(variants) > _MOST_VARIANTS:
+        if isinstance(variants, dict) and len(variants) > MOST_VARIANTS:
             raise ValueError(
-                f"there are {len(variants):,} variants; at most {_MOST_VARIANTS} are accepted; "
+                f"there are {len(variants):,} variants; at most {MOST_VARIANTS} are accepted; "
                 "a study has no such limit"
             )
         return variants
@@ -307,4 +356,12 @@ class ScenarioFile(Section):
     @property
     def length(self) -> int:
         """Required length of time series, which must cover the horizon of the last plan."""
-        return self.time.steps + self.controller.horizon - 1
+        return self.time.steps + self.ahead - 1
+
+    @property
+    def ahead(self) -> int:
+        """Number of steps that a plan covers."""
+        horizon = self.controller.horizon
+        if isinstance(horizon, int):
+            return horizon
+        return max(math.ceil(sum(horizon.hours) / self.time.step - 1e-6), 1)

@@ -66,7 +66,7 @@ class Run:
             self.status = "unsolved"
             self.termination = (
                 f"the plant found no solution in {len(unsolved)} of {len(self.steps)} steps, "
-                f"first in step {first}: {self.steps[first].status}"
+                f"first in {self.problem.step_name(first)}: {self.steps[first].status}"
             )
         else:
             self.status, self.termination = "done", "all steps done"
@@ -120,7 +120,7 @@ class Run:
         rate = self._cost_rate(stage)
         described = {name: text for step in self.steps for name, text in step.described.items()}
         quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
-        made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
+        made = dataset(stage.network, quantities, self.problem.times(0, len(self.steps)))
         currency = stage.network.currency
         made["cost_rate"] = ("time", rate, {"units": f"{currency}/h", "long_name": "stage cost"})
         for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", currency)):
