@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Calendar
-from opfmodel.errors import ProfileError
+from opfmodel.data.frames import is_frame, without_index
+from opfmodel.errors import ProfileError, shown
 
 __all__ = ["Profiles", "SeriesKey"]
 
@@ -58,9 +59,16 @@ class Profiles(Mapping[SeriesKey, Array]):
     ----------
     series
         Values by component and field (``p`` of a load, ``p_max`` or ``c1`` of a generator, ``rating`` of
-        a branch).
+        a branch). Series and DataFrames of pandas may have a DatetimeIndex, the beginnings of the steps;
+        without a zone it is in that of the calendar, or in UTC. All must have the same step.
     calendar
-        Time stamps of the steps; None if the steps are only numbered.
+        Time stamps of the steps. By default the first step is the first one that all indices have, and
+        steps are only numbered if there are none.
+
+    Attributes
+    ----------
+    repeats
+        Whether the series were repeated beyond their end; forecasts from a file then repeat as well.
 
     Raises
     ------
@@ -77,11 +85,11 @@ class Profiles(Mapping[SeriesKey, Array]):
     def __init__(
         self, series: Mapping[Any, npt.ArrayLike] | None = None, calendar: Calendar | None = None
     ) -> None:
-        self.calendar = calendar
-        self._series = {
-            named: _vector(named, values)
-            for named, values in ((SeriesKey.of(key), values) for key, values in (series or {}).items())
-        }
+        given, self.calendar = without_index(
+            {SeriesKey.of(key): values for key, values in (series or {}).items()}, calendar
+        )
+        self.repeats = False
+        self._series = {key: _vector(key, values) for key, values in given.items()}
 
     @classmethod
     def of(cls, series: Mapping[Any, npt.ArrayLike] | None) -> Profiles:
@@ -94,8 +102,10 @@ class Profiles(Mapping[SeriesKey, Array]):
         """
         if isinstance(series, Profiles):
             return series
-        if series is not None and not isinstance(series, Mapping):
-            raise ProfileError(f"profiles = {series!r}: must be a mapping {{'component.field': values}}")
+        if series is not None and not (isinstance(series, Mapping) or is_frame(series)):
+            raise ProfileError(
+                f"profiles = {shown(series)}: must be a mapping {{'component.field': values}} or a DataFrame"
+            )
         return cls(series)
 
     def __getitem__(self, key: object) -> Array:
@@ -135,6 +145,19 @@ class Profiles(Mapping[SeriesKey, Array]):
             return None
         start = chosen.start or 0
         return self.calendar.later(start) if start >= 0 else None
+
+    def repeated(self, steps: int) -> Profiles:
+        """Return the series, repeated as a whole until they have at least ``steps`` values.
+
+        Examples
+        --------
+        >>> Profiles({"town.p": [1, 2]}).repeated(3)["town.p"].tolist()
+        [1.0, 2.0, 1.0, 2.0]
+        """
+        times = -(-steps // (self.length or steps))
+        made = Profiles({key: np.tile(values, times) for key, values in self.items()}, self.calendar)
+        made.repeats = True
+        return made
 
     def or_else(self, others: Profiles) -> Profiles:
         """Return these series, and those of ``others`` that these lack.

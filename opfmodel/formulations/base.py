@@ -145,11 +145,11 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
                 rating: Array = network.branch.rating[members]
                 rating = np.where(np.isfinite(rating), rating, 0.0)
-                price: Array = np.zeros((members.size, model.stages))
+                price: Array = np.zeros((members.size, 1))
                 for name in ("rating_from", "rating_to"):  # of the square, with what it is exceeded by
                     exceeded = f"{name}_above"
                     by = solution.value(exceeded) if exceeded in model.slacks else 0.0
-                    price += 2.0 * (rating + by) * solution.dual(name)
+                    price = price + 2.0 * (rating + by) * solution.dual(name)
                 return price
 
             price_rating(model, members, read)
@@ -174,11 +174,12 @@ def limit_flows(model: Model, **flows: Expression) -> None:
 
 
 def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnitNetwork], Array]) -> None:
-    """Report the value of one more MVA of rating; ``read`` returns it for the branches ``members``."""
+    """Report the value of one more MVA of rating; ``read`` returns that of the branches ``members``."""
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
-        price = np.zeros((len(network.branch), model.stages))
-        price[members] = read(solution, network) / model.step
+        limited = read(solution, network)
+        price = np.zeros((len(network.branch), limited.shape[1]))
+        price[members] = limited
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
@@ -89,8 +91,6 @@ class Soft:
         Whether the rows limit the square of the quantity; the slack is that of the quantity itself.
     share
         Share of the price that each row bears if several rows state one limit.
-    first
-        Stage of the first column of the rows; -1 for values at the ends of stages.
     noun
         Word for the components in the sentences; their kind by default.
     names
@@ -107,7 +107,6 @@ class Soft:
     price: Literal["limit", "shedding", "balance"] = "limit"
     squared: bool = False
     share: float = 1.0
-    first: int = 0
     noun: str = ""
     names: tuple[str, ...] = ()
     timed: bool = True
@@ -129,12 +128,15 @@ class Slack:
     ----------
     block
         Name of the variable block or output.
+    nodes
+        Node of each column, if there is not one per node; -1 for values before the first.
     """
 
     block: str
     kind: str
     soft: Soft
     side: Side
+    nodes: Index | None = None
 
     def parts(self, values: Array) -> list[tuple[Side, Array]]:
         """Return the violation on each side, p.u., from the positive and negative values of the variable."""
@@ -143,10 +145,11 @@ class Slack:
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
-        kept = slice(max(-self.soft.first, 0), None)
-        amounts = amounts[:, kept]
-        first = max(self.soft.first, 0)
-        np.add.at(out[:, first : first + amounts.shape[1]], self.soft.members, amounts)
+        nodes = np.arange(stages) if self.nodes is None else self.nodes
+        skipped = nodes.size - amounts.shape[1]  # by a plan that ends with the data
+        nodes = np.minimum(nodes[skipped:] - skipped, stages - 1)
+        kept = np.flatnonzero(nodes >= 0)
+        np.add.at(out, np.ix_(self.soft.members, nodes[kept]), amounts[:, kept])
         return out
 
 
@@ -164,10 +167,12 @@ class Shortage:
         Amount by stage, in the physical unit.
     hours
         Hour at which each stage begins; empty if the amounts do not belong to stages.
-    step
-        Hours per stage.
+    moments
+        The same as text, such as ``hour 3`` or a local time.
+    horizon
+        The nodes in time that the stages are.
     cost
-        Amount times the price of the elastic problem, $.
+        Amount times the price of the elastic problem, weighted with probability, $.
     """
 
     kind: str
@@ -176,7 +181,8 @@ class Shortage:
     side: Side
     amounts: Array
     hours: Array
-    step: float
+    moments: tuple[str, ...]
+    horizon: Horizon
     cost: float
 
     @property
@@ -196,11 +202,13 @@ class Shortage:
         if not self.hours.size:
             return text
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
-        text += f" at hour {self.hours[first]:g}"
+        scenario = self.horizon.scenario[first]
+        text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
-                total = f", {_figure(float(self.amounts.sum()) * self.step)} {_TOTALS[self.unit]} in all"
+                energy = _figure(float(self.amounts @ self.horizon.weights))
+                total = f", {energy} {_TOTALS[self.unit]} {'in all' if self.horizon.is_chain else 'expected'}"
             text += f" (in {short.size} stages{total})"
         return text
 
@@ -210,8 +218,8 @@ def shortages(
     solution: Solution,
     network: PerUnitNetwork,
     prices: Elastic,
-    step: float,
-    hours: Array,
+    horizon: Horizon,
+    times: Times,
 ) -> tuple[Shortage, ...]:
     """Return the shortfalls of a network, the most expensive first.
 
@@ -219,16 +227,18 @@ def shortages(
     ----------
     solution
         The solution to report.
-    hours
-        Hour at which each stage begins.
+    horizon, times
+        The nodes in time, and when each begins.
     """
+    hours = times.hours
     found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
     for slack in slacks:
         soft = slack.soft
         names = soft.names or network.tables[slack.kind].names
         for side, part in slack.parts(solution.value(slack.block)):
             spread = slack.spread(part, len(names), hours.size) if soft.timed else part
-            priced = float(getattr(prices, soft.price)) * spread * step
+            weights = horizon.weights if soft.timed else horizon.weights[:1]
+            priced = float(getattr(prices, soft.price)) * spread * weights
             for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > LEAST):
                 key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
                 none = np.zeros(spread.shape[1])
@@ -237,11 +247,12 @@ def shortages(
                 join = np.maximum if soft.price == "limit" else np.add
                 found[key] = soft, join(known, spread[item]), join(cost, priced[item])
     made = []
+    moments = times.shown if found else ()
     for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
-        moments = hours if soft.timed else hours[:0]
-        made.append(Shortage(kind, component, soft, side, physical, moments, step, total))
+        timed = (hours, moments) if soft.timed else (hours[:0], ())
+        made.append(Shortage(kind, component, soft, side, physical, *timed, horizon, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

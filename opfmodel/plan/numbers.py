@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +21,29 @@ Array = npt.NDArray[np.float64]
 
 
 class Numbers:
-    """The instance data of one solve."""
+    """The instance data of one solve.
 
-    def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
+    Parameters
+    ----------
+    network
+        Arrays of the network with the series of all stages of the program.
+    begin
+        Stage of the program at which the plan begins; see :mod:`opfmodel.plan.shrinking`.
+    freed
+        Rows that are not in force.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        program: Program,
+        network: PerUnitNetwork,
+        begin: int = 0,
+        freed: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
         self.model = model
         self.program = program
+        self.begin, self.freed = begin, freed
         self.parameters: dict[str, Array] = {
             name: number_of(resolved(network.tables[kind], value), network)
             for name, (kind, value) in model.parameters.items()
@@ -36,15 +54,7 @@ class Numbers:
         for name, source in model.bounds.items():
             if source.kind in changed:
                 low, high = source.resolve(network.tables[source.kind])
-                self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
-
-    def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
-        """Fit stage bounds to a block: they hold at stage ends, those of the first stage at its start too."""
-        stages = (self.program.variables.get(name) or self.program.rows[name]).stages
-        given = values.shape[-1] if values.ndim == 2 else 1
-        if 1 < given == stages - 1:
-            return np.hstack([values[:, :1], values])
-        return np.asarray(values[:, -stages:]) if given > stages else values
+                self.lower[name], self.upper[name] = low, high
 
     def _bounds(self, name: str) -> tuple[Array, Array]:
         """Return the bounds of a block as writable arrays."""
@@ -53,9 +63,9 @@ class Numbers:
             side[name] = np.array(block.spread(side.get(name, default)))
         return self.lower[name], self.upper[name]
 
-    def start_from(self, name: str, values: Array | None, delay: int) -> None:
+    def start_from(self, name: str, values: Array | None) -> None:
         """Fix the initial value of a state, or leave it free."""
-        state = self.model.states[name]
+        state, delay, horizon = self.model.states[name], self.model.delay, self.model.horizon
         if values is not None:
             values = np.asarray(values, dtype=float)
             if values.shape != (self.program.variables[name].items,) or not np.isfinite(values).all():
@@ -65,12 +75,22 @@ class Numbers:
                 )
         if (state.role == "stock" or delay == 1) and values is not None:
             lower, upper = self._bounds(name)
-            lower[:, 0] = upper[:, 0] = values
+            start = [self.begin] if state.role == "stock" or self.begin else horizon.roots
+            lower[:, start] = upper[:, start] = values[:, None]
+            if state.role == "stock":  # a cyclic end refers to the first point
+                lower[:, 0] = upper[:, 0] = values
+        elif state.role == "stock" and self.begin and len(self.model.network.tables[state.kind]):
+            raise ModelError(
+                f"initial {name}: must be given for a plan that ends with the data (at_end = 'shrink')"
+            )
         if f"{name}_ramp_first" in self.program.rows:
-            if values is None or delay == 1:
+            given = values is not None and delay == 0
+            begun = np.isin(self.model.starts, [self.begin] if self.begin else horizon.roots)
+            free = ~begun if given else np.ones_like(begun)
+            if free.any():
                 lower, upper = self._bounds(f"{name}_ramp_first")
-                lower[:], upper[:] = -np.inf, np.inf
-            else:
+                lower[:, free], upper[:, free] = -np.inf, np.inf
+            if values is not None and delay == 0:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End) -> None:
@@ -82,14 +102,27 @@ class Numbers:
                 lower[:] = upper[:] = 0.0
             if end.minimum > 0:
                 lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
-                lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
+                last = self.model.horizon.leaves + 1
+                lower[:, last] = np.maximum(lower[:, last], end.minimum * upper[:, last])
             price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
             self.parameters[f"{name}_end_price"] = np.array([price])
 
     def limit(self, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike) -> None:
-        """Set the bounds of a block; they broadcast to ``(items, stages)``."""
-        self.lower[name], self.upper[name] = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        """Set the bounds of a block; they broadcast to the items and the stages of the plan."""
+        low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        if self.begin and (low.ndim or high.ndim):
+            every = self._bounds(name)
+            every[0][:, self.begin :], every[1][:, self.begin :] = low, high
+        else:
+            self.lower[name], self.upper[name] = low, high
 
     def instance(self) -> Instance:
         """Return the instance of the program."""
-        return self.program.instance(self.parameters, self.lower, self.upper)
+        instance = self.program.instance(self.parameters, self.lower, self.upper)
+        if self.freed is None or not self.freed.any():
+            return instance
+        return replace(
+            instance,
+            row_lower=np.where(self.freed, -np.inf, instance.row_lower),
+            row_upper=np.where(self.freed, np.inf, instance.row_upper),
+        )
