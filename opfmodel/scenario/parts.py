@@ -12,7 +12,8 @@ from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError
-from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
@@ -23,11 +24,19 @@ from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.profiles.base import Workbook
-from opfmodel.scenario.document import Document
+from opfmodel.scenario.document import Document, check_printable
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
-__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "planned_objective"]
+__all__ = [
+    "make_forecast",
+    "make_horizon",
+    "make_objective",
+    "make_plant",
+    "make_profiles",
+    "make_scenarios",
+    "planned_objective",
+]
 
 
 def make_profiles(
@@ -76,7 +85,7 @@ def _attached(
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
     """Raise an error, before building any series, if series or results would not fit in memory."""
-    steps, horizon = settings.time.steps, settings.controller.horizon
+    steps, horizon = settings.time.steps, settings.ahead
     loads = len(network.of(Load))
     with document.located("time", "steps"):
         check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
@@ -143,6 +152,38 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
         )
         assert isinstance(made, Forecast)
         return made
+
+
+def make_scenarios(document: Document, settings: ScenarioFile) -> Scenarios | None:
+    """Create the futures that the controller plans for; None for the forecast alone."""
+    section, at = settings.controller.scenarios, ("controller", "scenarios")
+    if section is None:
+        return None
+    cases = {}
+    for case, stated in section.cases.items():
+        check_printable(document, (*at, "cases", case), case)
+        rules = []
+        for number, spec in enumerate(stated.profiles):
+            key = (*at, "cases", case, "profiles", number)
+            name, options = _single(document, key, spec)
+            with document.located(*key, name):
+                rules.append(plugins.make("profile", name, options))
+        cases[case] = Case(stated.probability, rules)
+    with document.located(*at):
+        draw = None if section.draw is None else Draw(**section.draw.model_dump())
+        return Scenarios(section.common, cases, draw, document.path.parent)
+
+
+def make_horizon(document: Document, settings: ScenarioFile, scenarios: Scenarios | None) -> Horizon:
+    """Create the nodes in time of the plans."""
+    step = settings.time.step
+    hours = settings.controller.lengths(step)
+    with document.located("controller", "horizon"):
+        grid = Horizon.grid(hours, step)
+    if scenarios is None:
+        return grid
+    with document.located("controller", "scenarios"):
+        return scenarios.horizon(hours, step)
 
 
 def make_plant(settings: ScenarioFile) -> Plant:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, model_validator
@@ -31,6 +32,7 @@ _BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {
 _BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
 _BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
 _BY_FORM = Choice(lambda values: "points" in values if values else None)
+_BY_SOURCE = Choice(lambda values: "draw" if "draw" in values else "cases" if "cases" in values else None)
 # The costs, which are the only mappings in fields of components: <section>.<component>.<field>.
 _COSTS = Inside(3, _BY_FORM)
 
@@ -69,8 +71,36 @@ class SolverSection(Section):
     options: dict[str, Any] = Field(default_factory=dict)
 
 
+class HorizonSection(Section):
+    hours: list[float] = Field(min_length=1, description="hours of each stage")
+
+
+class CaseSection(Section):
+    probability: float
+    profiles: List = Field(default_factory=list)
+
+
+class DrawSection(Section):
+    number: int
+    keep: int
+    seed: int = 0
+
+
+class RiskSection(Section):
+    level: float
+    weight: float
+
+
+class ScenariosSection(Section):
+    common: int = Field(1, ge=0)
+    cases: dict[str, CaseSection] = Field(default_factory=dict)
+    draw: DrawSection | None = None
+    risk: RiskSection | None = None
+
+
 class ControllerSection(Section):
-    horizon: int = Field(1, ge=1)
+    horizon: Annotated[int, Field(ge=1)] | HorizonSection = 1
+    scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = None
     formulation: str = "ac"
     objective: Annotated[Spec | None, _BY_KEY] = None
     generator_delay: Literal[0, 1] = 0
@@ -80,6 +110,10 @@ class ControllerSection(Section):
     on_infeasible: OnInfeasible = "stop"
     elastic: ElasticSection = Field(default_factory=ElasticSection)
     solver: Annotated[str | SolverSection, _BY_NAME] = "auto"
+
+    def lengths(self, step: float) -> list[float]:
+        """Hours of each stage of a plan, for a given length of a step."""
+        return self.horizon.hours if isinstance(self.horizon, HorizonSection) else [step] * self.horizon
 
     @property
     def back_end(self) -> SolverSection:
@@ -149,4 +183,12 @@ class ScenarioFile(Section):
     @property
     def length(self) -> int:
         """Required length of time series, which must cover the horizon of the last plan."""
-        return self.time.steps + self.controller.horizon - 1
+        return self.time.steps + self.ahead - 1
+
+    @property
+    def ahead(self) -> int:
+        """Number of steps that a plan covers."""
+        horizon = self.controller.horizon
+        if isinstance(horizon, int):
+            return horizon
+        return max(math.ceil(sum(horizon.hours) / self.time.step - 1e-6), 1)
