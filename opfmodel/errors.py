@@ -24,6 +24,7 @@ __all__ = [
     "ScenarioError",
     "SizeError",
     "StudyError",
+    "UnitError",
     "name_fault",
     "nearest",
     "shown",
@@ -97,6 +98,20 @@ class ModelError(OpfmodelError):
     """An option of a formulation, objective, device, plant or horizon is invalid."""
 
 
+class HorizonError(ModelError):
+    """The nodes of a horizon do not fit together: lengths, probabilities, common part.
+
+    Attributes
+    ----------
+    key
+        Path of keys to the invalid entry, in a scenario file below the horizon or its scenarios.
+    """
+
+    def __init__(self, message: str, *key: str | int) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 class IncompatibleError(ModelError):
     """Valid parts, such as an objective and a formulation, cannot be combined.
 
@@ -168,6 +183,10 @@ class SizeError(OpfmodelError):
 
 class StudyError(OpfmodelError):
     """A study cannot continue: its folder is in use, or its workers are unavailable."""
+
+
+class UnitError(OpfmodelError, ValueError):
+    """A quantity is in another unit than its field; also a ValueError, which pydantic reports."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -76,7 +76,7 @@ LOSSES = {
         changed("94.2, 19.0, 0.0, 0.0, 0.0, 0.0", "94.2, 19.0, 5.0, 2.0, 4.0, -3.0"),
         "constant current or impedance, taken as constant power: bus-3",
     ),
-    "tap control": (changed("70.0, 0, 0, 1.1", "70.0, 1, 3, 1.1"), "taps that control voltage"),
+    "tap control": (changed("170.0, 0, 0, 1.1", "170.0, 1, 3, 1.1"), "taps that control voltage"),
     "impedance correction": (
         section("IMPEDANCE CORRECTION", TABLE).replace("0.9, 33, 0,", "0.9, 33, 1,"),
         "impedance correction table 1, not applied: T1",

@@ -19,6 +19,7 @@ from .costs import PiecewiseLinear as PiecewiseLinear
 from .costs import Polynomial as Polynomial
 from .fields import at_bus as at_bus
 from .fields import flag as flag
+from .fields import in_service as in_service
 from .fields import number as number
 from .fields import span as span
 from .network import Network as Network

@@ -23,6 +23,7 @@ from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
+from opfmodel.network.quantities import CURRENCY
 from opfmodel.network.units import scale
 
 __all__ = ["Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
@@ -99,6 +100,8 @@ class PerUnitNetwork:
         with invalid data.
     left_out
         Names of the components that are out of service or connected to a bus out of service.
+    currency
+        Name of the currency of all costs and prices.
     """
 
     name: str
@@ -109,6 +112,7 @@ class PerUnitNetwork:
     reference: Index
     notes: tuple[str, ...]
     left_out: tuple[str, ...] = ()
+    currency: str = CURRENCY
 
     @property
     def bus(self) -> Table:
@@ -273,7 +277,15 @@ def _lay_out(network: Network) -> PerUnitNetwork:
             notes.append(note)
     left_out = tuple(name for name in network if name not in kept)
     return PerUnitNetwork(
-        network.name, base_mva, network.base_mva, tables, island, reference, tuple(notes), left_out
+        network.name,
+        base_mva,
+        network.base_mva,
+        tables,
+        island,
+        reference,
+        tuple(notes),
+        left_out,
+        network.currency,
     )
 
 

@@ -9,7 +9,8 @@ from functools import cache
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from opfmodel.errors import ComponentError, ProfileError, nearest
-from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.describe import documented
 from opfmodel.network.fields import (
     INF,
     TableField,
@@ -56,15 +57,13 @@ _RULES: Mapping[str, _Check] = {
 }
 
 
-_COEFFICIENTS = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
-
-
 class Component:
     """Base class of all components of a network.
 
     A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span`,
-    :func:`flag` and :func:`at_bus`. These describe how a field is checked, converted to per unit and
-    laid out in arrays; a new kind of component needs nothing else.
+    :func:`flag` and :func:`at_bus`. These state how a field is checked, converted to per unit and
+    laid out in arrays, and describe it in its docstring, in documentation and in the schema of scenario
+    files; a new kind of component needs nothing else.
 
     Attributes
     ----------
@@ -75,6 +74,12 @@ class Component:
     kind: ClassVar[str]
     plural: ClassVar[str]
     in_service: bool
+
+    def __init_subclass__(cls) -> None:
+        """Add a section on the parameters to the docstring, from the descriptions of the fields."""
+        super().__init_subclass__()
+        own = {name: item for name, item in vars(cls).items() if isinstance(item, Field)}
+        cls.__doc__ = documented(cls.__doc__, {**getattr(cls, "__dataclass_fields__", {}), **own})
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse unknown fields and suggest the closest known ones."""
@@ -150,9 +155,30 @@ class Component:
         for name, item in cls.fields().items():
             form, unit = item.metadata["form"], item.metadata["unit"]
             for quantity in cls.quantities(name):
-                own = _COEFFICIENTS[quantity] if form == "cost" else unit
+                own = COEFFICIENT_UNITS[quantity] if form == "cost" else unit
                 made[quantity] = TableField(form, own, item.metadata.get("series", True))
         return made
+
+    @classmethod
+    @cache
+    def over(cls, key: str) -> str:
+        """Return how a quantity of the arrays combines over several steps: ``mean``, ``min`` or ``max``.
+
+        Power, demand and cost are averaged, so that energy is kept; of limits the tighter counts.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Branch, Bus, Generator
+        >>> Generator.over("p_max"), Branch.over("rating"), Bus.over("vm_min")
+        ('mean', 'min', 'max')
+        """
+        known = cls.fields()
+        if key in known:
+            return str(known[key].metadata.get("over", "mean"))
+        stem, _, end = key.rpartition("_")
+        if end not in ("min", "max") or stem not in known or known[stem].metadata["averaged"]:
+            return "mean"
+        return "max" if end == "min" else "min"
 
     @classmethod
     def quantities(cls, key: str) -> tuple[str, ...]:
@@ -164,7 +190,7 @@ class Component:
         >>> Generator.quantities("p"), Generator.quantities("cost"), Generator.quantities("bus")
         (('p_min', 'p_max'), ('c2', 'c1', 'c0'), ())
         """
-        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(_COEFFICIENTS)}
+        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(COEFFICIENT_UNITS)}
         return named.get(cls.fields()[key].metadata["form"], ())
 
     def constant(self, field: str) -> float:

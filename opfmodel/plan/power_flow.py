@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,6 +11,7 @@ from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
 from opfmodel.devices.load import LoadDevice
 from opfmodel.errors import ModelError
 from opfmodel.formulations.ac import AC
+from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
@@ -122,8 +124,7 @@ class _Flow:
         self.iterations = 0
         model = Model(
             points.network.with_series(without_limits(points.network)),
-            1,
-            1.0,
+            Horizon.chain(1),
             reactive=True,
             zones=np.arange(len(points.network.bus)),
         )

@@ -64,7 +64,7 @@ class PowerFlowResult:
         """Voltages, flows and injections in physical units, named as in ``plan.data``."""
         from opfmodel.results import dataset
 
-        made = dataset(self._arrays, self._quantities, Times(0, 1, 1.0))
+        made = dataset(self._arrays, self._quantities, Times(np.zeros(1, dtype=np.intp), 1.0))
         made.attrs |= {
             "network": self.network.name,
             "formulation": "ac",

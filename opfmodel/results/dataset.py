@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
 from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.quantities import in_currency
 from opfmodel.network.units import scale
 
 if TYPE_CHECKING:
@@ -55,12 +56,12 @@ def dataset(
                 at = [network.bus.names[b] for b in table.bus]
                 made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
-        name: ("bus", unit, f"{sort} demand", _demand(network, field, times.stages))
+        name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times.steps)))
         for name, (field, unit, sort) in DEMAND.items()
     }
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():
         physical = values * scale(unit, network.base_mva)
-        attributes = {"units": unit, "long_name": description}
+        attributes = {"units": in_currency(unit, network.currency), "long_name": description}
         made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
     return made
 

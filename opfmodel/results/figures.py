@@ -55,7 +55,7 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     if "cost_rate" in data:
         axis = next(panels)
         _steps(axis, data, data["cost_rate"].values, label="cost", color=_COLOURS[3])
-        axis.set_ylabel("cost [$/h]")
+        axis.set_ylabel(f"cost [{data['cost_rate'].attrs['units']}]")
     _finish(figure, data)
     return figure
 

@@ -16,6 +16,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
 from opfmodel.network.bounds import bounded, is_number
 from opfmodel.objectives.economic import Economic
@@ -112,7 +113,7 @@ def check_constraints(
         return
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
     with document.located("controller"):
-        model = bare.declare(stages=1)
+        model = bare.declare(Horizon.chain(1, problem.step))
     stage: Any = PhysicalStage(model)
     unpublished: dict[tuple[str, ...], ModelError] = {}
     for name, constraint in constraints.items():

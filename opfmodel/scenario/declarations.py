@@ -14,6 +14,7 @@ from opfmodel.errors import (
     NetworkError,
     PluginError,
     ProfileError,
+    UnitError,
     name_fault,
     nearest,
     shown,
@@ -25,19 +26,28 @@ from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network, name_pattern
+from opfmodel.network.quantities import CURRENCY, Basis, is_quantity, read_quantity
+from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document
 
 __all__ = ["Declarations", "component_kinds"]
 
 
 class Declarations:
-    """Builder of the network of a scenario from its ``network`` section."""
+    """Builder of the network of a scenario from its ``network`` section.
+
+    Parameters
+    ----------
+    currency
+        Name of the currency of the scenario.
+    """
 
     _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
 
-    def __init__(self, document: Document, section: dict[str, Any]) -> None:
+    def __init__(self, document: Document, section: dict[str, Any], currency: str = CURRENCY) -> None:
         self.document = document
         self.section = section
+        self.currency = currency
         kinds, self.broken = component_kinds()
         self.kinds = {kind.plural: kind for kind in kinds}
 
@@ -49,6 +59,8 @@ class Declarations:
                 broken = "".join(f"; {reason}" for reason in self.broken)
                 raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}{broken}")
         network = self._start(name)
+        network.set_currency(self.currency)
+        self.basis = Basis(self.currency, network.base_mva)
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
                 self._declare(network, self.kinds[plural], component, fields)
@@ -75,7 +87,7 @@ class Declarations:
             raise
 
     def _start(self, name: str) -> Network:
-        file, base_mva = self.section.get("file"), self.section.get("base_mva")
+        file, base_mva = self.section.get("file"), self._number("base_mva", "MVA")
         if file is None:
             named = self.section.get("name", name)
             if not isinstance(named, str) or name_fault(named):
@@ -88,7 +100,7 @@ class Declarations:
             raise self.document.error(("network", "file"), "must be a path relative to this file")
         if base_mva is not None:
             raise self.document.error(("network", "base_mva"), "cannot be combined with file, which sets it")
-        price = self.section.get("default_cost")
+        price = self._number("default_cost", "$/MWh")
         if price is not None and not is_number(price):
             raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
         lossy = self.section.get("lossy", False)
@@ -100,6 +112,16 @@ class Declarations:
                 default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
                 lossy=lossy,
             )
+
+    def _number(self, key: str, unit: str) -> Any:
+        """Return the value of a key, in its unit if it is text with one."""
+        value = self.section.get(key)
+        if not is_quantity(value):
+            return value
+        try:
+            return read_quantity(value, unit, Basis(self.currency))
+        except UnitError as fault:
+            raise self.document.error(("network", key), f"{shown(value)}: {fault}") from None
 
     def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:
         members = self.section.get(section) or {}
@@ -116,7 +138,7 @@ class Declarations:
         """Declare one component, or one per bus if name and bus contain a star."""
         with self._fields(kind.plural, name):
             if str(fields.get("bus")) != "*":
-                network.add(name, kind.from_mapping(name, self._shares(kind, name, fields)))
+                network.add(name, kind.from_mapping(name, self._plain(kind, name, fields)))
                 return
             if name.count("*") != 1:
                 raise ComponentError(
@@ -125,7 +147,7 @@ class Declarations:
             for bus in network.of(Bus):
                 member = name.replace("*", bus)
                 network.add(
-                    member, kind.from_mapping(member, self._shares(kind, name, {**fields, "bus": bus}))
+                    member, kind.from_mapping(member, self._plain(kind, name, {**fields, "bus": bus}))
                 )
 
     def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
@@ -138,7 +160,7 @@ class Declarations:
             old = network[member]
             plain = {k: getattr(old, k) for k in old.fields()}
             with self._fields("update", name):
-                network.update(member, **self._shares(type(old), member, fields, plain))
+                network.update(member, **self._plain(type(old), member, fields, plain))
 
     @contextmanager
     def _fields(self, section: str, name: str) -> Iterator[None]:
@@ -151,11 +173,15 @@ class Declarations:
         except (NetworkError, CaseError) as error:
             raise self.document.error(("network", section, name), str(error)) from error
 
-    @staticmethod
-    def _shares(
-        kind: type[Component], name: str, fields: dict[str, Any], others: Mapping[str, Any] | None = None
+    def _plain(
+        self,
+        kind: type[Component],
+        name: str,
+        fields: dict[str, Any],
+        others: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Replace shares such as ``10% of p_max`` with numbers."""
+        """Replace quantities such as ``200 MWh`` and shares such as ``10% of p_max`` with numbers."""
+        fields = without_units(kind, name, fields, self.basis)
         known = {k: v for k, v in {**(others or {}), **fields}.items() if not _SHARE.fullmatch(str(v))}
         resolved = dict(fields)
         for key, value in fields.items():

@@ -15,6 +15,7 @@ from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
     ConstraintError,
+    HorizonError,
     OpfmodelError,
     PluginError,
     ScenarioError,
@@ -22,6 +23,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.network.quantities import Basis
 from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
@@ -71,7 +73,7 @@ class Document:
             yield
         except ScenarioError:
             raise
-        except (PluginError, ConstraintError) as error:
+        except (PluginError, ConstraintError, HorizonError) as error:
             raise self.error((*key, *error.key), str(error)) from error
         except (OpfmodelError, SolverError) as error:
             raise self.error(key, str(error)) from error
@@ -122,8 +124,13 @@ def read_document(path: str | Path) -> Document:
     return Document(path, *parse(read_text(path, ScenarioError, _MOST_BYTES), str(path)))
 
 
-def validated(document: Document, content: Any, model: type[Model]) -> Model:
+def validated(document: Document, content: Any, model: type[Model], basis: Basis | None = None) -> Model:
     """Validate the content of a document, with overrides applied, against a schema.
+
+    Parameters
+    ----------
+    basis
+        What the values of quantities with units depend on.
 
     Raises
     ------
@@ -132,7 +139,7 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
         line, column and accepted values.
     """
     try:
-        return model.model_validate(content)
+        return model.model_validate(content, context=basis)
     except ValidationError as error:
         faults = [(_path(content, fault), fault) for fault in error.errors()]
         outer = faults[0][0]

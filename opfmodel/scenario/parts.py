@@ -12,21 +12,31 @@ from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError
-from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
+from opfmodel.network.quantities import Basis
 from opfmodel.network.series import check_finite, check_series
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.profiles.base import Workbook
-from opfmodel.scenario.document import Document
+from opfmodel.scenario.document import Document, check_printable
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
-__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "planned_objective"]
+__all__ = [
+    "make_forecast",
+    "make_horizon",
+    "make_objective",
+    "make_plant",
+    "make_profiles",
+    "make_scenarios",
+    "planned_objective",
+]
 
 
 def make_profiles(
@@ -42,12 +52,13 @@ def make_profiles(
     _check_size(document, settings, network)
     book = Workbook(network, settings.length, settings.time.step, document.path.parent)
     book.series |= _attached(document, settings, network, calendar)
+    basis = settings.basis._replace(base_mva=network.base_mva)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
         name, options = _single(document, key, spec)
         before = dict(book.series)
         with document.located(*key, name), _sourced(book):
-            plugins.make("profile", name, options).apply(book)
+            plugins.make("profile", name, options, context=basis).apply(book)
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
             check_finite(Profiles(changed), network)
     with document.located("profiles"), _sourced(book):
@@ -74,7 +85,7 @@ def _attached(
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
     """Raise an error, before building any series, if series or results would not fit in memory."""
-    steps, horizon = settings.time.steps, settings.controller.horizon
+    steps, horizon = settings.time.steps, settings.ahead
     loads = len(network.of(Load))
     with document.located("time", "steps"):
         check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
@@ -95,6 +106,7 @@ def make_objective(
     document: Document,
     key: tuple[str | int, ...],
     spec: Spec,
+    basis: Basis,
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
 ) -> Objective:
     """Create an objective, or the weighted sum of several.
@@ -103,13 +115,15 @@ def make_objective(
     ----------
     key
         Path of keys to it in the file.
+    basis
+        What the values of quantities with units depend on.
     convert
         Converters from values of the file to objects, by type; see :func:`opfmodel.plugins.make`.
     """
     if not isinstance(spec, list):
         name, options = _single(document, key, spec)
         with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
-            made = plugins.make("objective", name, options, convert)
+            made = plugins.make("objective", name, options, convert, context=basis)
             assert isinstance(made, Objective)
             return made
     parts: list[tuple[float, Objective]] = []
@@ -118,7 +132,7 @@ def make_objective(
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
         with document.located(*key, number, "weight"):
             weight = number_within("weight", weight, at_least=0)
-        parts.append((weight, make_objective(document, (*key, number), rest, convert)))
+        parts.append((weight, make_objective(document, (*key, number), rest, basis, convert)))
     if not parts:
         raise document.error(key, "needs at least one objective")
     return WeightedSum(parts)
@@ -130,16 +144,54 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
     key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
     with document.located(*key):
         made = plugins.make(
-            "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
+            "forecast",
+            name,
+            options,
+            {Path: lambda value: document.path.parent / str(value)},
+            context=settings.basis,
         )
         assert isinstance(made, Forecast)
         return made
 
 
+def make_scenarios(document: Document, settings: ScenarioFile) -> Scenarios | None:
+    """Create the futures that the controller plans for; None for the forecast alone."""
+    section, at = settings.controller.scenarios, ("controller", "scenarios")
+    if section is None:
+        return None
+    cases = {}
+    for case, stated in section.cases.items():
+        check_printable(document, (*at, "cases", case), case)
+        rules = []
+        for number, spec in enumerate(stated.profiles):
+            key = (*at, "cases", case, "profiles", number)
+            name, options = _single(document, key, spec)
+            with document.located(*key, name):
+                rules.append(plugins.make("profile", name, options))
+        cases[case] = Case(stated.probability, rules)
+    with document.located(*at):
+        draw = None if section.draw is None else Draw(**section.draw.model_dump())
+        return Scenarios(section.common, cases, draw, document.path.parent)
+
+
+def make_horizon(document: Document, settings: ScenarioFile, scenarios: Scenarios | None) -> Horizon:
+    """Create the nodes in time of the plans."""
+    step = settings.time.step
+    hours = settings.controller.lengths(step)
+    with document.located("controller", "horizon"):
+        grid = Horizon.grid(hours, step)
+    if scenarios is None:
+        return grid
+    with document.located("controller", "scenarios"):
+        return scenarios.horizon(hours, step)
+
+
 def make_plant(settings: ScenarioFile) -> Plant:
     """Create the plant of a closed loop, without history."""
     section = settings.plant
-    made = plugins.make("plant", section.mode, section.model_extra or {}, beside=("mode",))
+    made = plugins.make(
+        "plant", section.mode, section.model_extra or {}, beside=("mode",), context=settings.basis
+    )
     assert isinstance(made, Plant)
     return made
 
@@ -165,7 +217,9 @@ def planned_objective(
     def setpoints(value: Any) -> Setpoints:
         return _setpoints(value, document, settings.length, network, single_stages)
 
-    return make_objective(document, ("controller", "objective"), stated, {Setpoints: setpoints})
+    return make_objective(
+        document, ("controller", "objective"), stated, settings.basis, {Setpoints: setpoints}
+    )
 
 
 def _setpoints(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, model_validator
 
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
+from opfmodel.network.quantities import CURRENCY, Basis, In, currency_fault
 from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
@@ -30,6 +32,7 @@ _BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {
 _BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
 _BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
 _BY_FORM = Choice(lambda values: "points" in values if values else None)
+_BY_SOURCE = Choice(lambda values: "draw" if "draw" in values else "cases" if "cases" in values else None)
 # The costs, which are the only mappings in fields of components: <section>.<component>.<field>.
 _COSTS = Inside(3, _BY_FORM)
 
@@ -43,20 +46,24 @@ class Section(BaseModel):
 class TimeSection(Section):
     start: str | None = Field(None, description="beginning of the first step, ISO 8601")
     zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
-    step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
+    step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = 1.0
     steps: int = Field(1, ge=1)
 
 
 class EndSection(Section):
     cyclic: bool = False
     minimum: float = Field(0.0, ge=0, le=1)
-    price: float = 0.0
+    price: Annotated[float, In("$/MWh")] = 0.0
+
+
+Price = Annotated[float, Field(gt=0, allow_inf_nan=False), In("$/MWh")]
+Cost = Annotated[float | None, In("$")]
 
 
 class ElasticSection(Section):
-    limit: float = Field(Elastic.limit, gt=0, allow_inf_nan=False, description="$/MWh")
-    shedding: float = Field(Elastic.shedding, gt=0, allow_inf_nan=False)
-    balance: float = Field(Elastic.balance, gt=0, allow_inf_nan=False)
+    limit: Price = Elastic.limit
+    shedding: Price = Elastic.shedding
+    balance: Price = Elastic.balance
 
 
 class SolverSection(Section):
@@ -64,8 +71,36 @@ class SolverSection(Section):
     options: dict[str, Any] = Field(default_factory=dict)
 
 
+class HorizonSection(Section):
+    hours: list[float] = Field(min_length=1, description="hours of each stage")
+
+
+class CaseSection(Section):
+    probability: float
+    profiles: List = Field(default_factory=list)
+
+
+class DrawSection(Section):
+    number: int
+    keep: int
+    seed: int = 0
+
+
+class RiskSection(Section):
+    level: float
+    weight: float
+
+
+class ScenariosSection(Section):
+    common: int = Field(1, ge=0)
+    cases: dict[str, CaseSection] = Field(default_factory=dict)
+    draw: DrawSection | None = None
+    risk: RiskSection | None = None
+
+
 class ControllerSection(Section):
-    horizon: int = Field(1, ge=1)
+    horizon: Annotated[int, Field(ge=1)] | HorizonSection = 1
+    scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = None
     formulation: str = "ac"
     objective: Annotated[Spec | None, _BY_KEY] = None
     generator_delay: Literal[0, 1] = 0
@@ -75,6 +110,10 @@ class ControllerSection(Section):
     on_infeasible: OnInfeasible = "stop"
     elastic: ElasticSection = Field(default_factory=ElasticSection)
     solver: Annotated[str | SolverSection, _BY_NAME] = "auto"
+
+    def lengths(self, step: float) -> list[float]:
+        """Hours of each stage of a plan, for a given length of a step."""
+        return self.horizon.hours if isinstance(self.horizon, HorizonSection) else [step] * self.horizon
 
     @property
     def back_end(self) -> SolverSection:
@@ -96,10 +135,10 @@ class PlantSection(BaseModel):
 
 class PublishedSection(Section):
     source: str
-    J_e: float | None = Field(None, description="$")
-    J_s: float | None = None
-    J_t: float | None = None
-    J_b: float | None = None
+    J_e: Cost = None
+    J_s: Cost = None
+    J_t: Cost = None
+    J_b: Cost = None
 
 
 class ScenarioFile(Section):
@@ -107,6 +146,7 @@ class ScenarioFile(Section):
 
     name: str | None = None
     description: str = ""
+    currency: str = CURRENCY
     network: Annotated[dict[str, Any], _COSTS]
     time: TimeSection = Field(default_factory=TimeSection)
     profiles: List = Field(default_factory=list)
@@ -117,6 +157,13 @@ class ScenarioFile(Section):
     constraints: dict[str, Any] = Field(default_factory=dict)
     published: PublishedSection | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @field_validator("currency")
+    @classmethod
+    def _of_currency(cls, name: str) -> str:
+        if fault := currency_fault(name):
+            raise ValueError(fault)
+        return name
 
     @field_validator("variants", mode="before")
     @classmethod
@@ -129,6 +176,19 @@ class ScenarioFile(Section):
         return variants
 
     @property
+    def basis(self) -> Basis:
+        """What the values of quantities with units depend on, besides the power base."""
+        return Basis(self.currency)
+
+    @property
     def length(self) -> int:
         """Required length of time series, which must cover the horizon of the last plan."""
-        return self.time.steps + self.controller.horizon - 1
+        return self.time.steps + self.ahead - 1
+
+    @property
+    def ahead(self) -> int:
+        """Number of steps that a plan covers."""
+        horizon = self.controller.horizon
+        if isinstance(horizon, int):
+            return horizon
+        return max(math.ceil(sum(horizon.hours) / self.time.step - 1e-6), 1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from opfmodel.data.calendar import Calendar, parse_stamp, zone_of
 from opfmodel.network.network import Network
 from opfmodel.scenario.document import Document
@@ -43,7 +41,8 @@ def settled(
     if own is not None and calendar is not None:
         with document.located("time", "start" if own.has_step(step) else "step"):
             lead = own.steps_until(calendar)
-    settled: dict[str, Any] = {"step": step}
+    settings = settings.model_copy(update={"time": time.model_copy(update={"step": step})})
     if attached.length is not None and "steps" not in stated:
-        settled["steps"] = max(attached.length - lead - settings.controller.horizon + 1, 1)
-    return settings.model_copy(update={"time": time.model_copy(update=settled)}), calendar
+        steps = max(attached.length - lead - settings.ahead + 1, 1)
+        settings = settings.model_copy(update={"time": settings.time.model_copy(update={"steps": steps})})
+    return settings, calendar

@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from typing import Any
 
-from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.errors import HorizonError, IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.bounds import integer
 from opfmodel.objectives.base import Objective
@@ -20,7 +20,7 @@ from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
 from solvers.interrupt import interruptible
 
-__all__ = ["check_response", "simulate"]
+__all__ = ["check_first_stage", "check_response", "simulate"]
 
 
 def simulate(
@@ -77,6 +77,7 @@ def simulate(
         raise ModelError(f"plant = {plant!r}: must be a plant, such as PowerFlow()")
     check_response(controller.forecast, plant)
     problem = controller.problem
+    check_first_stage(problem)
     check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
     metered = problem.objective if objective is None else objective
     problem.check_lengths(steps, metered)
@@ -110,6 +111,21 @@ def simulate(
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
     return run
+
+
+def check_first_stage(problem: MultiStage) -> None:
+    """Raise :class:`ModelError` unless the first stage of a plan can be applied for one step."""
+    horizon = problem.horizon
+    if len(horizon.roots) > 1:
+        raise HorizonError(
+            "a closed loop applies the first stage, which all futures must share", "scenarios", "common"
+        )
+    if horizon.lengths[0] != 1:
+        raise HorizonError(
+            f"hours: {horizon.hours[0]:g}: the first stage of a closed loop must be one step of "
+            f"{horizon.base:g} h long",
+            "horizon", "hours", 0,
+        )  # fmt: skip
 
 
 def check_response(forecast: Forecast | None, plant: Plant) -> None:

@@ -55,7 +55,7 @@ class Run:
     _finished: xr.Dataset | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} $"
+        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} {self.problem.network.currency}"
         return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
 
     def finish(self) -> None:
@@ -121,8 +121,9 @@ class Run:
         described = {name: text for step in self.steps for name, text in step.described.items()}
         quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
         made = dataset(stage.network, quantities, self.problem.times(0, len(self.steps)))
-        made["cost_rate"] = ("time", rate, {"units": "$/h", "long_name": "stage cost"})
-        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
+        currency = stage.network.currency
+        made["cost_rate"] = ("time", rate, {"units": f"{currency}/h", "long_name": "stage cost"})
+        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", currency)):
             values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
             made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
         for key, words in (
