@@ -120,7 +120,7 @@ def _pandapower_networks() -> Iterator[Seed]:
 def _pypsa_networks() -> Iterator[Seed]:
     tree, netcdf = _pypsa_files()
     files = {f"n/{file}": content for file, content in tree.items()}
-    targets = {file: ("words", "columns", "lines", "bytes", "file") for file in files}
+    targets = dict.fromkeys(files, ("words", "columns", "lines", "bytes", "file"))
     yield Seed("csv", "pypsa", files, targets, _network_commands("n", *COST), ["pypsa"])
     targets = {"n.nc": ("hdf5", "hdf5", "bytes", "file")}
     yield Seed("netcdf", "pypsa", {"n.nc": netcdf}, targets, _network_commands("n.nc", *COST), ["pypsa"])

@@ -70,7 +70,7 @@ def run(arguments: list[str]) -> tuple[int | None, str]:
             main()
     except SystemExit as stop:
         return (stop.code, "") if isinstance(stop.code, int) else (None, f"SystemExit: {stop.code!r}")
-    except BaseException:  # noqa: BLE001 - a panic of a Rust library is not an Exception
+    except BaseException:
         return None, traceback.format_exc()
 
 
