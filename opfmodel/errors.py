@@ -98,6 +98,20 @@ class ModelError(OpfmodelError):
     """An option of a formulation, objective, device, plant or horizon is invalid."""
 
 
+class HorizonError(ModelError):
+    """The nodes of a horizon do not fit together: lengths, probabilities, common part.
+
+    Attributes
+    ----------
+    key
+        Path of keys to the invalid entry, in a scenario file below the horizon or its scenarios.
+    """
+
+    def __init__(self, message: str, *key: str | int) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 class IncompatibleError(ModelError):
     """Valid parts, such as an objective and a formulation, cannot be combined.
 

@@ -15,6 +15,7 @@ from opfmodel.data.files import read_text
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
     ConstraintError,
+    HorizonError,
     OpfmodelError,
     PluginError,
     ScenarioError,
@@ -72,7 +73,7 @@ class Document:
             yield
         except ScenarioError:
             raise
-        except (PluginError, ConstraintError) as error:
+        except (PluginError, ConstraintError, HorizonError) as error:
             raise self.error((*key, *error.key), str(error)) from error
         except (OpfmodelError, SolverError) as error:
             raise self.error(key, str(error)) from error

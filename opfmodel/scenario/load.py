@@ -13,26 +13,29 @@ from opfmodel import plugins
 from opfmodel.data.series import Profiles
 from opfmodel.data.yaml import MOST_LEVELS
 from opfmodel.errors import nearest, shown
+from opfmodel.horizon import Horizon
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
 from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import End, MultiStage
+from opfmodel.plan import End, MultiStage, Risk
 from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
 from opfmodel.scenario.overlay import laid
 from opfmodel.scenario.parts import (
     make_forecast,
+    make_horizon,
     make_objective,
     make_plant,
     make_profiles,
+    make_scenarios,
     planned_objective,
 )
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.scenario.timing import settled
+from opfmodel.scenario.timing import completed, settled
 from opfmodel.simulation import check_response
 from solvers import Kind, find
 
@@ -70,20 +73,23 @@ def load_scenario(
     for each in settings.variants:
         check_name(document, ("variants", each), each)
     with document.located("network"):
-        declarations = Declarations(document, settings.network, settings.currency)
+        declarations = Declarations(document, settings)
         network = declarations.network(name)
         declarations.check(network)
     cost = make_objective(document, ("cost",), settings.cost, settings.basis)
-    settings, calendar = settled(document, settings, network)
-    profiles = make_profiles(document, settings, network, calendar)
+    settings, grid = settled(document, settings, network)
+    profiles = make_profiles(document, settings, network, grid)
+    settings = completed(document, settings, grid)
     forecast = make_forecast(document, settings)
-    constraints = read_constraints(document, settings)
+    constraints = read_constraints(document, settings, grid)
 
     def single_stages() -> Setpoints:
-        return scenario.single_stages(settings.length).setpoints()
+        return scenario.single_stages(grid.steps).setpoints()
 
-    objective = planned_objective(document, settings, network, cost, single_stages)
-    problem = _problem(document, settings, network, profiles, objective)
+    objective = planned_objective(document, settings, network, cost, grid, single_stages)
+    scenarios = make_scenarios(document, settings)
+    horizon = make_horizon(document, settings, scenarios)
+    problem = _problem(document, settings, network, profiles, objective, horizon)
     for own in constraints.values():
         with document.located("constraints", own.name):
             problem.constrain(own.name, own.state, at_least=own.at_least, at_most=own.at_most)
@@ -97,7 +103,7 @@ def load_scenario(
     with document.located("forecast"):
         check_response(forecast, plant)
     title = name if variant is None else f"{name}:{variant}"
-    scenario = Scenario(title, document, problem, cost, forecast, settings)
+    scenario = Scenario(title, document, problem, cost, forecast, scenarios, settings, grid)
     return scenario
 
 
@@ -108,7 +114,12 @@ def _basis(content: Mapping[str, Any]) -> Basis:
 
 
 def _problem(
-    document: Document, settings: ScenarioFile, network: Network, profiles: Profiles, objective: Objective
+    document: Document,
+    settings: ScenarioFile,
+    network: Network,
+    profiles: Profiles,
+    objective: Objective,
+    horizon: Horizon,
 ) -> MultiStage:
     """Build the problem of the ``controller`` section, without custom constraints."""
     controller = settings.controller
@@ -118,17 +129,21 @@ def _problem(
     if solver.name != "auto":
         with document.located("controller", "solver"):
             find(solver.name, Kind.LINEAR)
+    risk = None if controller.scenarios is None else controller.scenarios.risk
+    with document.located("controller", "scenarios", "risk"):
+        averse = None if risk is None else Risk(**risk.model_dump())
     with document.located("controller"):
         return MultiStage(
             network,
-            controller.horizon,
-            settings.time.step,
+            horizon,
             formulation=controller.formulation,
             objective=objective,
             profiles=profiles,
             generator_delay=controller.generator_delay,
             end=End(**controller.end.model_dump()),
+            at_end="shrink" if settings.time.at_end == "shrink" else "error",  # what repeats is complete
             regularisation=controller.regularisation,
+            risk=averse,
             solver=solver.name,
             options=solver.options,
         )
