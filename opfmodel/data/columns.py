@@ -78,9 +78,11 @@ class Columns:
             raise ProfileError(f"{error}{hint}") from None
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Columns:
-        """Return a selection of rows, without their times."""
+        """Return a selection of rows."""
         lines = np.asarray(self.lines)[chosen].tolist()
-        return Columns(self.path, {key: values[chosen] for key, values in self.values.items()}, lines)
+        times = [self.times[row] for row in chosen] if self.clock is not None else ()
+        values = {key: series[chosen] for key, series in self.values.items()}
+        return Columns(self.path, values, lines, self.clock, times)
 
 
 def read_columns(
