@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from conftest import DATA, SCENARIOS
 from hypothesis import given
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel import cli
 from opfmodel.cli import installation
+from opfmodel.data.calendar import Calendar
 from opfmodel.errors import CaseError, CaseWarning, ResultError
 from opfmodel.network.inspection import Inspection, inspect, topology
 from opfmodel.network.layout import positions
@@ -287,13 +289,13 @@ def test_the_version_is_an_attribute() -> None:
 @pytest.mark.parametrize("path", CASES, ids=lambda p: p.stem)
 def test_a_network_is_read_back_from_a_scenario_exactly(path: Path, tmp_path: Path) -> None:
     network = om.read_network(path)
-    again = om.load_scenario(write_scenario(network, tmp_path / "copy.yaml")).network
+    again = om.load_scenario(write_scenario(network, tmp_path / "copy.yaml")[0]).network
     assert contents(again) == contents(network)
     assert (again.name, again.base_mva) == (network.name, network.base_mva)
 
 
 def test_every_field_of_every_kind_survives_a_scenario(rich_grid: om.Network, tmp_path: Path) -> None:
-    again = om.load_scenario(write_scenario(rich_grid, tmp_path / "copy.yaml")).network
+    again = om.load_scenario(write_scenario(rich_grid, tmp_path / "copy.yaml")[0]).network
     assert contents(again) == contents(rich_grid)
 
 
@@ -326,7 +328,7 @@ def test_a_converted_case_has_the_same_optimum(path: Path, suffix: str, call: Ca
 
 
 def test_convert_reports_what_it_wrote_and_lost(call: Call, tmp_path: Path, rich_grid: om.Network) -> None:
-    rich = write_scenario(rich_grid, tmp_path / "rich.yaml")
+    (rich,) = write_scenario(rich_grid, tmp_path / "rich.yaml")
     to = tmp_path / "copy.m"
     code, out, err = call("convert", rich, to)
     assert (code, out, to.exists()) == (2, "", False)
@@ -355,11 +357,66 @@ def test_series_are_lost_in_files_of_one_moment(call: Call, tmp_path: Path) -> N
     assert (code, "time series" in err) == (2, True)
     network = sound_grid()
     network.attach(om.Profiles({"town.p": [1, 2]}))
-    for write, name in ((om.write_network, "a.m"), (write_scenario, "a.yaml")):
-        with pytest.raises(CaseError, match="1 time series"):
-            write(network, tmp_path / name, lossy=False)
-        with pytest.warns(CaseWarning, match="lost: 1 time series"):
-            write(network, tmp_path / name, lossy=True)
+    with pytest.raises(CaseError, match="1 time series"):
+        om.write_network(network, tmp_path / "a.m", lossy=False)
+    with pytest.warns(CaseWarning, match="lost: 1 time series"):
+        om.write_network(network, tmp_path / "a.m")
+
+
+@pytest.mark.parametrize(
+    "calendar",
+    [
+        None,
+        Calendar(np.datetime64("2025-03-29T23:30"), 0.25, "Europe/Berlin"),
+        Calendar(np.datetime64("2024-02-29"), 1 / 3),
+    ],
+)
+def test_attached_series_are_read_back_from_a_scenario(calendar: Calendar | None, tmp_path: Path) -> None:
+    network = sound_grid()
+    network.add('old "mill", east', om.Load("a", p=1))
+    network.add("v1.2", om.Load("a", p=1))
+    random = np.random.default_rng(1)
+    keys = ("town.p", "town.q", "gas.p_max", "unit.c1", "line.rating", 'old "mill", east.p', "v1.2.p")
+    series = {key: random.uniform(0, 100, 7) for key in keys}
+    series["line.rating"][2] = np.inf
+    network.attach(om.Profiles(series, calendar))
+    written = write_scenario(network, tmp_path / "copy.yaml")
+    assert [path.name for path in written] == ["copy.yaml", "copy.csv"]
+    again = om.load_scenario(written[0])
+    assert contents(again.network) == contents(network)
+    assert again.profiles.calendar == calendar
+    assert set(map(str, again.profiles)) == set(keys)
+    for key, values in series.items():
+        assert again.profiles[key].tolist() == values.tolist(), key
+
+
+def test_a_pypsa_file_becomes_a_scenario_with_its_series(call: Call, tmp_path: Path) -> None:
+    pypsa = pytest.importorskip("pypsa")
+    n = pypsa.Network(snapshots=pd.date_range("2025-01-01", periods=4, freq="h"))
+    n.add("Bus", ["north", "south"], v_nom=110.0)
+    n.add("Line", "tie", bus0="north", bus1="south", r=1.0, x=10.0, s_nom=80.0)
+    n.add("Generator", "wind", bus="north", p_nom=100.0, p_max_pu=[0.2, 0.9, 0.5, 0.1], marginal_cost=1.0)
+    n.add("Generator", "gas", bus="south", p_nom=100.0, marginal_cost=50.0)
+    n.add("Load", "town", bus="south", p_set=[40.0, 60.0, 70.0, 50.0])
+    n.add("StorageUnit", "cell", bus="south", p_nom=10.0, max_hours=4.0, state_of_charge_initial=20.0)
+    n.export_to_netcdf(tmp_path / "grid.nc")
+    code, out, err = call("convert", tmp_path / "grid.nc", tmp_path / "grid.yaml", "--json")
+    assert code == 0, err
+    assert [Path(path).name for path in json.loads(out)["written"]] == ["grid.yaml", "grid.csv"]
+    scenario = om.load_scenario(tmp_path / "grid.yaml", overrides={"controller.formulation": "dc-matpower"})
+    network = om.read_network(tmp_path / "grid.nc")
+    assert contents(scenario.network) == contents(network)
+    assert scenario.profiles.calendar == network.profiles.calendar
+    plan = om.MultiStage(scenario.network, 4, profiles=scenario.profiles, formulation="dc-matpower").solve()
+    n.optimize(solver_name="highs", include_objective_constant=False)
+    assert plan.objective == pytest.approx(n.objective, rel=1e-6)
+
+
+def test_steps_that_not_all_series_have_are_lost(tmp_path: Path) -> None:
+    network = sound_grid()
+    network.attach(om.Profiles({"town.p": [1, 2], "town.q": [1, 2, 3]}))
+    with pytest.raises(CaseError, match=r"steps after 2 of the series town\.q"):
+        write_scenario(network, tmp_path / "a.yaml")
 
 
 def test_numbers_that_no_scenario_holds_are_lost(tmp_path: Path) -> None:
@@ -368,7 +425,7 @@ def test_numbers_that_no_scenario_holds_are_lost(tmp_path: Path) -> None:
     with pytest.raises(CaseError, match="idle: p: not a finite number"):
         write_scenario(network, tmp_path / "a.yaml")
     with pytest.warns(CaseWarning, match="idle: p"):
-        again = om.load_scenario(write_scenario(network, tmp_path / "a.yaml", lossy=True)).network
+        again = om.load_scenario(write_scenario(network, tmp_path / "a.yaml", lossy=True)[0]).network
     network.remove("idle")
     assert contents(again) == contents(network)
 

@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, run, solve, study
+from opfmodel.cli import convert, inspect, look, powerflow, run, solve, study
 from opfmodel.cli.output import print_json, print_line, remark, show_warning
 from opfmodel.errors import OpfmodelError
 
@@ -24,6 +24,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command("solve")(solve.solve)
+app.command("powerflow")(powerflow.powerflow)
 app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)

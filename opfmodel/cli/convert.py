@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,25 +43,23 @@ def convert(
         raise OpfmodelError(f"{to}: is the file to convert; choose another name")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaseWarning)
-        write(_network(file, default_cost, lossy), to, lossy=lossy)
+        written = [str(path) for path in write(_network(file, default_cost, lossy), to, lossy=lossy)]
     messages = [str(one.message) for one in caught if issubclass(one.category, CaseWarning)]
     losses = [message for message in messages if _LOST in message]
     for message in messages:
         show_warning(message, CaseWarning)
     if json_:
         others = [message for message in messages if _LOST not in message]
-        print_json({"status": "done", "written": [str(to)], "warnings": others, "losses": losses})
+        print_json({"status": "done", "written": written, "warnings": others, "losses": losses})
     else:
-        print_line(f"{to}: written" + (f"; {len(losses)} losses" if losses else ""))
+        print_line(f"{', '.join(written)}: written" + (f"; {len(losses)} losses" if losses else ""))
     return 0
 
 
-def _writer(to: Path) -> Callable[..., Path]:
+def _writer(to: Path) -> Callable[..., Sequence[Path]]:
     suffix = to.suffix.lower()
     if suffix == ".m":
-        from opfmodel.network.cases import write_network
-
-        return write_network
+        return _write_matpower
     if suffix in (".yaml", ".yml"):
         from opfmodel.scenario.write import write_scenario
 
@@ -69,6 +67,12 @@ def _writer(to: Path) -> Callable[..., Path]:
     raise OpfmodelError(
         f"{to}: no format is written under {suffix or 'this name'!r}; accepted are .m and .yaml"
     )
+
+
+def _write_matpower(network: Network, to: Path, *, lossy: bool) -> Sequence[Path]:
+    from opfmodel.network.cases import write_network
+
+    return [write_network(network, to, lossy=lossy)]
 
 
 def _network(file: Path, default_cost: float | None, lossy: bool) -> Network:
@@ -104,7 +108,8 @@ def init(
         text = template()
     else:
         network, price = _priced(from_, lossy)
-        file = os.path.relpath(from_.resolve(), path.resolve().parent)
+        # what is no file has a name, as the grids of SimBench
+        file = os.path.relpath(from_.resolve(), path.resolve().parent) if from_.exists() else str(from_)
         text = template(network, file, lossy=lossy, price=price)
     try:
         replace({path: text.encode()})

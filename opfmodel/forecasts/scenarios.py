@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -161,26 +161,20 @@ class Scenarios:
         common = int(horizon.step[branching].min(initial=horizon.steps))
         if self.draw is not None:
             return _drawn(self.draw, forecast, issued, time, common)
+        times = actual.calendar
+        grid = Grid(time + horizon.steps, horizon.base)
+        if times is not None:
+            grid = replace(grid, start=times.start, zone=times.zone)
         known = {key: np.concatenate([actual[key][:time], values]) for key, values in issued.items()}
         series = []
         for case in self.cases.values():
-            book = Workbook(
-                network, _grid(actual, time + horizon.steps, horizon.base), self.folder, dict(known)
-            )
+            book = Workbook(network, replace(grid), self.folder, dict(known))
             for rule in case.rules:
                 rule.apply(book)
             changed = Profiles({key: book.series[key][time:] for key in issued})
             series.append(_after(common, issued, changed))
         shares = np.array([case.probability for case in self.cases.values()])
         return Futures(series, shares, [1] * len(series))
-
-
-def _grid(actual: Profiles, steps: int, step: float) -> Grid:
-    """Return the steps that rules of cases see: those of the actual series."""
-    at_end = "repeat" if actual.repeats else "error"
-    if actual.calendar is None:
-        return Grid(steps, step, at_end=at_end)
-    return Grid(steps, step, actual.calendar.start, actual.calendar.zone, at_end)
 
 
 def _drawn(draw: Draw, forecast: Forecast, issued: Profiles, time: int, common: int) -> Futures:

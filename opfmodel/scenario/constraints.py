@@ -13,17 +13,14 @@ from opfmodel.errors import (
     ModelError,
     ProfileError,
     QuantityError,
-    nearest,
-    shown,
 )
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
-from opfmodel.network.bounds import bounded, is_number
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
-from opfmodel.scenario.schema import ScenarioFile
+from opfmodel.scenario.schema import ColumnSection, ConstraintSection, ScenarioFile
 
 __all__ = ["check_constraints", "read_constraints"]
 
@@ -48,14 +45,11 @@ def read_constraints(document: Document, settings: ScenarioFile, grid: Grid) -> 
     return made
 
 
-def _constraint(name: str, values: object, grid: Grid, folder: Path) -> CustomConstraint:
-    """Build a linear constraint from plain values.
+def _constraint(name: str, section: ConstraintSection, grid: Grid, folder: Path) -> CustomConstraint:
+    """Build a linear constraint.
 
     Parameters
     ----------
-    values
-        ``terms`` and the limits: ``at_least``, ``at_most`` or both, or ``equal``. Each limit is a
-        number, a list, or ``{file: , column: }``.
     grid
         The steps that a limit covers.
     folder
@@ -66,45 +60,31 @@ def _constraint(name: str, values: object, grid: Grid, folder: Path) -> CustomCo
     ConstraintError
         The constraint is malformed; the error carries the key.
     """
-    known = ("terms", "at_least", "at_most", "equal")
-    if not isinstance(values, Mapping):
-        raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
-    for key in values:
-        if key not in known:
-            raise ConstraintError(f"unknown key; {nearest(key, known)}", key)
-    terms = values.get("terms")
-    if not isinstance(terms, Mapping):
-        raise ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
-    limits = {key: _limit(values[key], key, grid, folder) for key in known[1:] if key in values}
+    stated = {"at_least": section.at_least, "at_most": section.at_most, "equal": section.equal}
+    limits = {key: _limit(value, key, grid, folder) for key, value in stated.items() if value is not None}
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
         if len(limits) > 1:
             raise ConstraintError("cannot be combined with at_least or at_most", "equal")
         limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
-    return CustomConstraint.of(name, Linear(terms), **limits)
+    return CustomConstraint.of(name, Linear(section.terms), **limits)
 
 
-def _limit(value: object, key: str, grid: Grid, folder: Path) -> float | list[float]:
-    if isinstance(value, Mapping):
-        if not {"file", "column"} <= set(value) <= {"file", "column", *FILE_OPTIONS}:
-            raise ConstraintError("must be a number, a list, or {file: , column: }", key)
-        path, heading = folder / str(value["file"]), str(value["column"])
+def _limit(
+    value: float | list[float] | ColumnSection, key: str, grid: Grid, folder: Path
+) -> float | list[float]:
+    if isinstance(value, ColumnSection):
+        path, heading = folder / value.file, str(value.column)
+        options = value.model_dump(include=set(FILE_OPTIONS), exclude_none=True)
         try:
-            fitted = read_fitted(path, grid, [heading], **{k: value[k] for k in FILE_OPTIONS if k in value})
+            fitted = read_fitted(path, grid, [heading], **options)
             return [float(number) for number in fitted.values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
-    numbers = []
-    for number in value if isinstance(value, list) else [value]:
-        if not (is_number(number) and bounded(number)):
-            raise ConstraintError(
-                f"{shown(number)}: must be a finite number, or a list with one per step", key
-            )
-        numbers.append(float(number))
     if not isinstance(value, list):
-        return numbers[0]
-    steps = grid.steps
+        return value
+    steps, numbers = grid.steps, value
     if grid.at_end == "repeat":
         numbers = repeated(numbers, steps)
     if len(numbers) < steps:

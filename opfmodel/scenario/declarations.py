@@ -14,47 +14,39 @@ from opfmodel.errors import (
     NetworkError,
     PluginError,
     ProfileError,
-    UnitError,
     name_fault,
     nearest,
     shown,
 )
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.bounds import LARGEST, bounded, is_number
+from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.cases import read_network
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network, name_pattern
-from opfmodel.network.quantities import CURRENCY, Basis, is_quantity, read_quantity
+from opfmodel.network.quantities import Basis
 from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document
+from opfmodel.scenario.schema import NetworkSection, ScenarioFile
 
 __all__ = ["Declarations", "component_kinds"]
 
 
 class Declarations:
-    """Builder of the network of a scenario from its ``network`` section.
+    """Builder of the network of a scenario from its ``network`` section."""
 
-    Parameters
-    ----------
-    currency
-        Name of the currency of the scenario.
-    """
-
-    _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
-
-    def __init__(self, document: Document, section: dict[str, Any], currency: str = CURRENCY) -> None:
+    def __init__(self, document: Document, settings: ScenarioFile) -> None:
         self.document = document
-        self.section = section
-        self.currency = currency
+        self.section = settings.network
+        self.currency = settings.currency
         kinds, self.broken = component_kinds()
         self.kinds = {kind.plural: kind for kind in kinds}
 
     def network(self, name: str) -> Network:
         """Build the declared network; ``name`` applies unless the section states its own."""
-        known = (*self._OWN, *self.kinds)
-        for key in self.section:
+        known = (*NetworkSection.model_fields, *self.kinds)
+        for key in self.section.components:
             if key not in known:
                 broken = "".join(f"; {reason}" for reason in self.broken)
                 raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}{broken}")
@@ -64,14 +56,11 @@ class Declarations:
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
                 self._declare(network, self.kinds[plural], component, fields)
-        for component, fields in self._members("update"):
+        for component, fields in (self.section.update or {}).items():
             self._update(network, component, fields)
-        removed = self.section.get("remove") or []
-        if not isinstance(removed, list):
-            raise self.document.error(("network", "remove"), "must be a list of component names")
-        for number, component in enumerate(removed):
+        for number, removed in enumerate(self.section.remove or ()):
             with self.document.located("network", "remove", number):
-                network.remove(str(component))
+                network.remove(str(removed))
         return network
 
     def check(self, network: Network) -> None:
@@ -79,52 +68,36 @@ class Declarations:
         try:
             per_unit(network)
         except ComponentError as error:
-            for section in (*self.kinds, "update"):
-                for name, _ in self._members(section):
+            stated = {kind: dict(self._members(kind)) for kind in self.kinds}
+            for section, members in {**stated, "update": self.section.update or {}}.items():
+                for name in members:
                     if name_pattern(name).fullmatch(error.component):
                         key = ("network", section, name, error.field)
                         raise self.document.error(key, f"{shown(error.value)}: {error.rule}") from error
             raise
 
     def _start(self, name: str) -> Network:
-        file, base_mva = self.section.get("file"), self._number("base_mva", "MVA")
-        if file is None:
-            named = self.section.get("name", name)
-            if not isinstance(named, str) or name_fault(named):
-                raise self.document.error(
-                    ("network", "name"), f"{shown(named)}: must be text of visible characters"
-                )
+        section = self.section
+        if section.file is None:
+            named = name if section.name is None else section.name
+            if fault := name_fault(named):
+                raise self.document.error(("network", "name"), f"{shown(named)}: the name {fault}")
             with self.document.located("network", "base_mva"):
-                return Network(named, 100.0 if base_mva is None else base_mva)
-        if not isinstance(file, str):
-            raise self.document.error(("network", "file"), "must be a path relative to this file")
-        if base_mva is not None:
+                return Network(named, 100.0 if section.base_mva is None else section.base_mva)
+        if section.base_mva is not None:
             raise self.document.error(("network", "base_mva"), "cannot be combined with file, which sets it")
-        price = self._number("default_cost", "$/MWh")
-        if price is not None and not is_number(price):
-            raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
-        lossy = self.section.get("lossy", False)
-        if not isinstance(lossy, bool):
-            raise self.document.error(("network", "lossy"), f"{shown(lossy)}: must be true or false")
+        price = section.default_cost
         with self.document.located("network", "file"):
             return read_network(
-                self.document.path.parent / file,
-                default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
-                lossy=lossy,
+                self.document.path.parent / section.file,
+                default_cost=None if price is None else Polynomial(0.0, price, 0.0),
+                lossy=section.lossy,
             )
 
-    def _number(self, key: str, unit: str) -> Any:
-        """Return the value of a key, in its unit if it is text with one."""
-        value = self.section.get(key)
-        if not is_quantity(value):
-            return value
-        try:
-            return read_quantity(value, unit, Basis(self.currency))
-        except UnitError as fault:
-            raise self.document.error(("network", key), f"{shown(value)}: {fault}") from None
-
     def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:
-        members = self.section.get(section) or {}
+        members = self.section.components.get(section, {})
+        if members is None:  # a key without a value
+            return
         if not isinstance(members, dict):
             raise self.document.error(("network", section), "must be a mapping from names to fields")
         for name, fields in members.items():

@@ -73,7 +73,7 @@ def load_scenario(
     for each in settings.variants:
         check_name(document, ("variants", each), each)
     with document.located("network"):
-        declarations = Declarations(document, settings.network, settings.currency)
+        declarations = Declarations(document, settings)
         network = declarations.network(name)
         declarations.check(network)
     cost = make_objective(document, ("cost",), settings.cost, settings.basis)

@@ -32,20 +32,19 @@ def settled(document: Document, settings: ScenarioFile, network: Network) -> tup
     if time.start is not None:
         with document.located("time", "start"):
             start = parse_stamp(time.start, zone or "UTC")
-    if own is not None and "step" not in stated:
-        step: float | None = own.step
-    else:  # that of a file with times, unless the lengths of the stages refer to it
-        step = time.step if "step" in stated or not isinstance(settings.controller.horizon, int) else None
+    step = time.step if "step" in stated else None if own is None else own.step
     lead = 0
     if own is not None and start is not None and step is not None:
         with document.located("time", "start" if own.has_step(step) else "step"):
             lead = own.steps_until(Calendar(start, step, own.zone))
     if step is not None:
-        settings = _with_time(settings, step=step)
+        time = time.model_copy(update={"step": step})
+        settings = settings.model_copy(update={"time": time})
     if attached.length is not None and "steps" not in stated:
         ahead = settings.ahead - 1 if time.at_end == "error" else 0
-        settings = _with_time(settings, steps=max(attached.length - lead - ahead, 1))
-    return settings, Grid(settings.length, step, start, zone, time.at_end, settings.time.steps)
+        time = time.model_copy(update={"steps": max(attached.length - lead - ahead, 1)})
+        settings = settings.model_copy(update={"time": time})
+    return settings, Grid(settings.length, step, start, zone, time.at_end, time.steps)
 
 
 def completed(document: Document, settings: ScenarioFile, grid: Grid) -> ScenarioFile:
@@ -54,15 +53,16 @@ def completed(document: Document, settings: ScenarioFile, grid: Grid) -> Scenari
     Raises
     ------
     ScenarioError
-        A zone is stated, but neither a start nor a series with time stamps.
+        A zone is stated, but neither a start nor a series with time stamps; or the hours of the stages are
+        stated, but not the step.
     """
     if settings.time.zone is not None and grid.calendar is None:
         raise document.error(
             ("time", "zone"), "there are no times: state time.start, or give a file a column of times"
         )
-    return _with_time(settings, step=grid.hours)
-
-
-def _with_time(settings: ScenarioFile, **changes: float) -> ScenarioFile:
-    """Return the settings with other values of the section ``time``."""
-    return settings.model_copy(update={"time": settings.time.model_copy(update=changes)})
+    if not isinstance(settings.controller.horizon, int) and grid.hours != settings.time.step:
+        raise document.error(
+            ("time", "step"),
+            f"must be stated, {grid.hours:g} h as in the files, because controller.horizon gives hours",
+        )
+    return settings.model_copy(update={"time": settings.time.model_copy(update={"step": grid.hours})})
