@@ -149,7 +149,7 @@ class Component:
         --------
         >>> from opfmodel.network import Generator
         >>> list(Generator.table_fields())
-        ['p_min', 'p_max', 'q_min', 'q_max', 'ramp', 'c2', 'c1', 'c0', 'pg_set', 'qg_set', 'vm_set']
+        ['p_min', 'p_max', 'q_min', 'q_max', 'ramp', 'c2', 'c1', 'c0', 'pg_set', 'qg_set', 'vm_set', 'participation']
         """
         made = {}
         for name, item in cls.fields().items():
