@@ -156,8 +156,8 @@ class Generator(Component):
         at_least=0.0,
         optional=True,
         series=False,
-        description="Weight in the distributed slack of a power flow, relative to the others of its island; "
-        "none for the maximum power if it regulates, else 0.",
+        description="Weight in the distributed slack of a power flow, relative to the other generators of "
+        "its island; none for p_max if it regulates, else 0.",
     )
     in_service: bool = in_service()
 

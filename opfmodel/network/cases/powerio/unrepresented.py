@@ -27,7 +27,7 @@ _HARMLESS_CODES = (
     "NOTES_TRUNCATED",
     "GEOMETRY",
 )
-_NAMES_ONLY = ("PSS/E ZONE section", "PSS/E OWNER section")
+_NAMES_ONLY = ("PSS/E ZONE section", "PSS/E OWNER section", "`carriers.csv` ignored", "`shapes.csv` ignored")
 
 
 def harmless(diagnostic: Any) -> bool:
