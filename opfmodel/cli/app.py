@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from opfmodel.cli import convert, inspect, look, powerflow, run, solve, study
-from opfmodel.cli.output import print_json, print_line, remark, show_warning
+from opfmodel.cli.output import WarningPrinter, print_json, print_line, remark
 from opfmodel.errors import OpfmodelError
 
 __all__ = ["app", "main"]
@@ -77,7 +77,7 @@ def main() -> NoReturn:
     as_json = "--json" in sys.argv[1:]
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
-    warnings.showwarning = show_warning
+    warnings.showwarning = WarningPrinter()
     try:
         code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from opfmodel.cli.options import FILE, JSON
-from opfmodel.cli.output import print_json, print_line, show_warning
+from opfmodel.cli.output import WarningPrinter, print_json, print_line
 from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario
 from opfmodel.errors import CaseError, CaseWarning, OpfmodelError
 
@@ -48,6 +48,7 @@ def convert(
         written = [str(path) for path in write(_network(file, default_cost, lossy), to, lossy=lossy)]
     messages = [str(one.message) for one in caught if issubclass(one.category, CaseWarning)]
     losses = [message for message in messages if _LOST in message]
+    show_warning = WarningPrinter()
     for message in messages:
         show_warning(message, CaseWarning)
     if json_:
