@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, run, solve, study
+from opfmodel.cli import convert, inspect, look, run, schema, solve, study
 from opfmodel.cli.output import print_json, print_line, remark, show_warning
 from opfmodel.errors import OpfmodelError
 
@@ -29,6 +29,7 @@ app.command("table")(run.table)
 app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
+app.command("schema")(schema.schema)
 app.command("info")(look.info)
 app.command("convert")(convert.convert)
 app.command("init")(convert.init)
