@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, powerflow, run, solve, study
+from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
 from opfmodel.cli.output import WarningPrinter, print_json, print_line, remark
 from opfmodel.errors import OpfmodelError
 
@@ -30,6 +30,7 @@ app.command("table")(run.table)
 app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
+app.command("schema")(schema.schema)
 app.command("info")(look.info)
 app.command("convert")(convert.convert)
 app.command("init")(convert.init)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import json
 import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from opfmodel.data.faults import fault_message
 from opfmodel.errors import PluginError, nearest, shown
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
@@ -146,7 +150,8 @@ def make(
     Parameters
     ----------
     options
-        Keyword arguments of the constructor, checked against its annotations; numbers must be finite.
+        Keyword arguments of the constructor, checked against its annotations. Types of plain data are not
+        converted, so that the text ``"2"`` is no number; numbers must be finite.
     convert
         Functions that convert file values, by the annotated type of the option.
     beside
@@ -178,9 +183,7 @@ def make(
         converter = (convert or {}).get(hint)
         try:
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
-            checked[key] = adapter.validate_python(
-                value if converter is None else converter(value), context=context
-            )
+            checked[key] = _validated(adapter, value if converter is None else converter(value), context)
         except ValidationError as error:
             fault = error.errors()[0]
             path, at = _path(value, fault["loc"])
@@ -192,6 +195,15 @@ def make(
     if missing:
         raise PluginError(f"{called} requires the option {missing[0]!r}")
     return cls(**checked)
+
+
+def _validated(adapter: TypeAdapter[Any], value: Any, context: object) -> Any:
+    """Validate an option: plain data as JSON, in which a strict check takes lists for tuples."""
+    try:
+        text = json.dumps(value)
+    except TypeError:  # an object
+        return adapter.validate_python(value, context=context)
+    return adapter.validate_json(text, strict=True, context=context)
 
 
 def _called(sort: str) -> str:

@@ -30,7 +30,7 @@ from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.schema import NetworkSection, ScenarioFile
 
-__all__ = ["Declarations", "component_kinds"]
+__all__ = ["SHARE", "Declarations", "component_kinds"]
 
 
 class Declarations:
@@ -155,22 +155,29 @@ class Declarations:
     ) -> dict[str, Any]:
         """Replace quantities such as ``200 MWh`` and shares such as ``10% of p_max`` with numbers."""
         fields = without_units(kind, name, fields, self.basis)
-        known = {k: v for k, v in {**(others or {}), **fields}.items() if not _SHARE.fullmatch(str(v))}
-        resolved = dict(fields)
-        for key, value in fields.items():
-            match = _SHARE.fullmatch(value) if isinstance(value, str) else None
-            if match:
-                resolved[key] = _share(kind.from_mapping(name, known), name, key, match)
-        return resolved
+        shares = {
+            key: match
+            for key, value in fields.items()
+            if _of_numbers(kind, key) and isinstance(value, str) and (match := SHARE.fullmatch(value))
+        }
+        known = {k: v for k, v in {**(others or {}), **fields}.items() if k not in shares}
+        for key, match in shares.items():
+            if match[2] == key:
+                raise ComponentError(name, key, match[0], "is a share of itself; name another field")
+            fields[key] = _share(kind.from_mapping(name, known), name, key, match)
+        return fields
 
 
-_SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
+def _of_numbers(kind: type[Component], key: str) -> bool:
+    return key in kind.fields() and kind.fields()[key].metadata["form"] in ("number", "span")
+
+
+SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
+"""A share of another field of the component: ``10% of p_max``."""
 
 
 def _share(component: Component, name: str, key: str, match: re.Match[str]) -> float:
     """Return the number for which a share of another field stands."""
-    if match[2] == key:
-        raise ComponentError(name, key, match[0], "is a share of itself; name another field")
     try:
         number = float(match[1]) / 100.0 * component.constant(match[2])
     except ProfileError as error:
