@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import difflib
+import os.path
 import unicodedata
 from collections.abc import Iterable
+from dataclasses import dataclass, field
+from heapq import nsmallest
 
 __all__ = [
     "CaseError",
     "CaseWarning",
     "ComponentError",
     "ConstraintError",
+    "Fault",
     "IncompatibleError",
     "ModelError",
     "NetworkError",
@@ -33,16 +37,72 @@ __all__ = [
 # control and format characters, lone surrogates, line and paragraph separators
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _LONGEST = 200
+_MOST_COMPARED = 200  # comparing ten thousand names letter by letter takes a second
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong in the user's input, and where it is.
+
+    Attributes
+    ----------
+    message
+        What is wrong, and what is accepted.
+    file
+        Name of the file, or the option of the command line; None if unknown.
+    line, column
+        Position in the file, from 1; None if unknown.
+    key
+        Path of keys to the invalid entry.
+    excerpt
+        The line of the file, and a line with a caret below the column; empty if unknown.
+    cause
+        The error that was raised where the position was not known.
+
+    Examples
+    --------
+    >>> print(Fault("0: must be at least 1", "case.yaml", 3, 5, ("controller", "horizon")))
+    case.yaml:3:5: controller.horizon: 0: must be at least 1
+    """
+
+    message: str
+    file: str | None = None
+    line: int | None = None
+    column: int | None = None
+    key: tuple[str | int, ...] = ()
+    excerpt: str = field(default="", compare=False, repr=False)
+    cause: Exception | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def dotted_key(self) -> str:
+        """The key as text."""
+        return ".".join(map(str, self.key))
+
+    @property
+    def statement(self) -> str:
+        """The key and what is wrong, without the position."""
+        return f"{self.dotted_key}: {self.message}" if self.key else self.message
+
+    def __str__(self) -> str:
+        """Return file, line, column, key and message on one line."""
+        where = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
+        return visible(f"{where}: {self.statement}" if where else self.statement)
 
 
 class OpfmodelError(Exception):
     """Base class of errors in the user's input; the command line exits with status 2.
 
-    The message is a single line, whatever names and paths it quotes.
+    The message is a single line, whatever names and paths it quotes; that of several faults has one
+    line for each.
     """
 
     def __init__(self, message: str = "") -> None:
         super().__init__(visible(message))
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong, in order of position; a single fault without a position for most errors."""
+        return (Fault(str(self)),)
 
 
 class ComponentError(OpfmodelError):
@@ -159,7 +219,24 @@ class ResultWarning(UserWarning):
 
 
 class ScenarioError(OpfmodelError):
-    """A scenario or study file violates its schema; the message gives file, line and column."""
+    """A scenario or study file is invalid.
+
+    The message has one line for each fault, with file, line, column, key and accepted values;
+    :attr:`faults` has the same as values, and an excerpt of the file for each.
+    """
+
+    def __init__(self, *faults: Fault | str) -> None:
+        self._faults = tuple(Fault(fault) if isinstance(fault, str) else fault for fault in faults)
+        Exception.__init__(self, *self._faults)
+
+    def __str__(self) -> str:
+        """Return one line for each fault."""
+        return "\n".join(map(str, self._faults))
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong, in order of position."""
+        return self._faults
 
 
 class SizeError(OpfmodelError):
@@ -173,10 +250,27 @@ class StudyError(OpfmodelError):
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the known names closest to ``name``, or list all of them if none is close."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
-    if close:
-        return "did you mean " + " or ".join(repr(n) for n in close) + "?"
+    if found := close(name, names):
+        return "did you mean " + " or ".join(map(repr, found)) + "?"
     return "available: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
+
+
+def close(name: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that a misspelt name may stand for, the closest first."""
+    return difflib.get_close_matches(name, _similar(name, sorted(known)), n=3, cutoff=0.6)
+
+
+def _similar(name: str, names: list[str]) -> list[str]:
+    """Return the names that share the longest beginning and end with ``name``; all if they are few."""
+    if len(names) <= _MOST_COMPARED:
+        return names
+
+    def other_letters(known: str) -> int:
+        begin = len(os.path.commonprefix((name, known)))
+        end = len(os.path.commonprefix((name[begin:][::-1], known[begin:][::-1])))
+        return max(len(name), len(known)) - begin - end
+
+    return nsmallest(_MOST_COMPARED, names, key=other_letters)
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:

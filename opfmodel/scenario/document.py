@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,14 +11,21 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from opfmodel.data.collection import Faults
 from opfmodel.data.faults import fault_message
 from opfmodel.data.files import read_text
+from opfmodel.data.source import Source
+from opfmodel.data.syntax import SPACELESS
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
+    CaseWarning,
     ConstraintError,
+    Fault,
     OpfmodelError,
     PluginError,
+    ProfileWarning,
     ScenarioError,
+    close,
     name_fault,
     nearest,
     shown,
@@ -25,12 +33,13 @@ from opfmodel.errors import (
 from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
-__all__ = ["Document", "check_name", "check_printable", "read_document", "validated"]
+__all__ = ["Document", "check_name", "check_printable", "colon_hint", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _MOST_BYTES = 20_000_000
+_MOST_ROUNDS = 100  # of validation; of a list, each round finds one invalid item
 _MOST_NAME_BYTES = 120  # file systems allow 255, and a folder name may combine a scenario and a variant
 
 
@@ -42,14 +51,14 @@ class Document:
     ----------
     content
         Dictionaries, lists, strings, numbers, booleans and None.
-    origin
-        What errors cite instead of a position in the file, such as an option of the command line.
+    faults
+        Faults of the YAML that leave the rest readable, such as a duplicate key.
     """
 
     path: Path
     content: Any
     place: Place
-    origin: str | None = None
+    faults: tuple[Fault, ...] = ()
 
     @property
     def is_study(self) -> bool:
@@ -57,12 +66,13 @@ class Document:
         keys = self.content if isinstance(self.content, dict) else ()
         return "vary" in keys or ("scenario" in keys and "network" not in keys)
 
-    def error(self, key: Sequence[str | int], message: str) -> ScenarioError:
-        """Return an error with file, line, column and key; a missing key has its parent's position."""
-        place = self.place.at(key)
-        name = ".".join(str(part) for part in key)
-        where = self.origin or f"{self.path}:{place.line}:{place.column}"
-        return ScenarioError(f"{where}: {name + ': ' if name else ''}{message}")
+    def fault(self, key: Sequence[str | int], message: str, cause: Exception | None = None) -> Fault:
+        """Return a fault with file, line, column and key; a missing key has its parent's position."""
+        return self.place.fault(key, message, cause)
+
+    def error(self, key: Sequence[str | int], message: str, cause: Exception | None = None) -> ScenarioError:
+        """Return an error of one :meth:`fault`."""
+        return ScenarioError(self.fault(key, message, cause))
 
     @contextmanager
     def located(self, *key: str | int) -> Iterator[None]:
@@ -72,22 +82,35 @@ class Document:
         except ScenarioError:
             raise
         except (PluginError, ConstraintError) as error:
-            raise self.error((*key, *error.key), str(error)) from error
+            raise self.error((*key, *error.key), str(error), error) from error
         except (OpfmodelError, SolverError) as error:
-            raise self.error(key, str(error)) from error
+            raise self.error(key, str(error), error) from error
+
+    @contextmanager
+    def warned(self, *key: str | int) -> Iterator[None]:
+        """Add the position of a key to warnings of opfmodel issued inside the block."""
+        with warnings.catch_warnings():
+            shown = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+                if issubclass(category, CaseWarning | ProfileWarning):
+                    message = category(str(self.fault(key, str(message))))
+                shown(message, category, *rest)
+
+            warnings.showwarning = show
+            yield
 
     def over(self, key: Key) -> Document:
         """Return the document with root positions overridden by those of the mapping at ``key``."""
         laid = self.place.at(key)._replace(line=self.place.line, column=self.place.column)
-        return replace(self, place=_laid(self.place, laid))
+        return replace(self, place=laid.over(self.place))
 
-
-def _laid(base: Place, over: Place) -> Place:
-    """Merge the positions of two mappings; those of ``over`` take precedence."""
-    if not (isinstance(base.inside, dict) and isinstance(over.inside, dict)):
-        return over
-    both = {key: _laid(base.inside[key], at) if key in base.inside else at for key, at in over.inside.items()}
-    return over._replace(inside={**base.inside, **both})
+    def laid(self, places: Mapping[str, Place]) -> Document:
+        """Return the document with the positions of dotted keys replaced."""
+        place = self.place
+        for key, over in places.items():
+            place = place.laid(key.split("."), over)
+        return replace(self, place=place)
 
 
 def check_printable(document: Document, key: Key, name: str) -> None:
@@ -118,28 +141,71 @@ def read_document(path: str | Path) -> Document:
     ScenarioError
         The file cannot be opened, or is not YAML; the message gives line and column.
     """
-    path = Path(path)
-    return Document(path, *parse(read_text(path, ScenarioError, _MOST_BYTES), str(path)))
+    path, faults = Path(path), Faults()
+    text = read_text(path, ScenarioError, _MOST_BYTES)
+    content, place = parse(text, Source(str(path), text), faults)
+    return Document(path, content, place, tuple(faults))
 
 
-def validated(document: Document, content: Any, model: type[Model]) -> Model:
+def validated(document: Document, content: Any, model: type[Model], faults: Faults) -> Model:
     """Validate the content of a document, with overrides applied, against a schema.
+
+    Faults are collected; what is invalid has its default in the result.
 
     Raises
     ------
     ScenarioError
-        An unknown or missing key, a wrong type, or a value out of range; the message gives file,
-        line, column and accepted values.
+        So much is invalid that there is no result.
     """
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        faults = [(_path(content, fault), fault) for fault in error.errors()]
-        outer = faults[0][0]
-        # each branch of a union reports an error; the deepest is the most specific
-        key = max((path for path, _ in faults if path[: len(outer)] == outer), key=len)
-        explained = _explained([fault for path, fault in faults if path == key], key, model)
-        raise document.error(key, explained) from None
+    for _ in range(_MOST_ROUNDS):
+        try:
+            return model.model_validate(content)
+        except ValidationError as error:
+            entries = [(_path(content, fault), fault) for fault in error.errors()]
+        found = sorted(_separated(entries), key=lambda entry: entry[1][0]["type"] == "missing")
+        for key, of_branches in found:
+            sort = of_branches[0]["type"]
+            if not faults.broken(*key):
+                faults.add(document.fault(key, _explained(of_branches, key, model)))
+            if sort == "extra_forbidden":  # what it stands for is not missing, and its default is not meant
+                for meant in close(str(key[-1]), _model_at(model, key[:-1]).model_fields):
+                    faults.spoil(*key[:-1], meant)
+            content = _without(content, key, sort == "missing")
+    raise faults.error()
+
+
+def _separated(
+    entries: Sequence[tuple[Key, Mapping[str, Any]]],
+) -> Iterator[tuple[Key, list[Mapping[str, Any]]]]:
+    """Group what the schema reports by the value that is wrong.
+
+    Each branch of a union reports an error; the deepest is the most specific.
+    """
+    keys = dict.fromkeys(key for key, _ in entries)
+    for outer in keys:
+        if not any(outer[:length] in keys for length in range(len(outer))):
+            inside = [key for key in keys if key[: len(outer)] == outer]
+            depth = max(map(len, inside))
+            for key in inside:
+                if len(key) == depth:
+                    yield key, [fault for at, fault in entries if at == key]
+
+
+def _without(content: Any, key: Key, missing: bool) -> Any:
+    """Return content without an invalid value; an item of a list, and what is required, become empty."""
+    if missing and len(key) > 1:
+        return _without(content, key[:-1], False)
+    head, *rest = key
+    if not missing and isinstance(content, dict) and head not in content:
+        return content
+    copied = content.copy()
+    if rest:
+        copied[head] = _without(content[head], tuple(rest), False)
+    elif missing or isinstance(content, list):
+        copied[head] = {}
+    else:
+        del copied[head]
+    return copied
 
 
 def _path(content: Any, fault: Mapping[str, Any]) -> Key:
@@ -158,6 +224,8 @@ def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseMo
     fault = faults[0]
     if fault["type"] == "extra_forbidden":
         known = _model_at(model, key[:-1]).model_fields
+        if hint := colon_hint(key[-1]):
+            return f"unknown key{hint}"
         parts = str(key[-1]).split(".")
         if len(parts) > 1 and parts[0] in known:
             return f"unknown key; nest it: {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
@@ -168,7 +236,25 @@ def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseMo
     keys = ", ".join(_model_at(model, key).model_fields) if of_model else ""
     first, *others = dict.fromkeys(map(fault_message, faults))
     message = " or ".join([first, *(other.removeprefix("must be ") for other in others)])
-    return (f"{shown(value)}: " if scalar else "") + message + (f"; accepted keys are {keys}" if keys else "")
+    hint = colon_hint(value) if of_model else ""
+    return (
+        (f"{shown(value)}: " if scalar else "")
+        + message
+        + (f"; accepted keys are {keys}" if keys else "")
+        + hint
+    )
+
+
+def colon_hint(value: object) -> str:
+    """Return the end of a message about text that suspects a missing space after a colon.
+
+    Examples
+    --------
+    >>> colon_hint("horizon:48"), colon_hint("horizon")
+    ("; a space is missing after the colon in 'horizon:48'", '')
+    """
+    match = SPACELESS.fullmatch(value) if isinstance(value, str) else None
+    return f"; a space is missing after the colon in {shown(value)}" if match else ""
 
 
 def _model_at(model: type[BaseModel], key: Key) -> type[BaseModel]:
