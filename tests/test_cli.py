@@ -154,6 +154,23 @@ def test_validate(call: Call, tmp_path: Path) -> None:
     assert err.startswith("error: ")
 
 
+@pytest.mark.parametrize("command", ["solve", "validate"])
+@pytest.mark.parametrize(
+    ("name", "accept"), [("dc.m", ["--lossy"]), ("dc.yaml", ["--set", "network.lossy=true"])]
+)
+def test_losses_of_a_network_file_are_refused_or_accepted(
+    command: str, name: str, accept: list[str], call: Call, tmp_path: Path
+) -> None:
+    line = "1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;"
+    text = (DATA / "matpower" / "case5.m").read_text() + f"\nmpc.dcline = [\n{line}\n];\n"
+    (tmp_path / "dc.m").write_text(text)
+    (tmp_path / "dc.yaml").write_text("network: {file: dc.m}\n")
+    code, out, err = call(command, tmp_path / name)
+    assert (code, out, err.startswith("error: "), "1 HVDC line" in err) == (2, "", True, True)
+    code, _, err = call(command, tmp_path / name, *accept)
+    assert (code, err.startswith("warning: "), "1 HVDC line" in err) == (0, True, True)
+
+
 def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(WEAK + "variants:\n  fine: {}\n  bad: {controller: {horizon: 0}}\n")
@@ -246,6 +263,8 @@ def test_list(call: Call) -> None:
         (("solve", CASE5, "--solver", "nosuch"), "error: --solver: controller.solver: .*'nosuch'"),
         (("solve", CASE5, "--horizon", "0"), "error: --horizon: controller.horizon: 0: "),
         (("solve", CASE5, "--default-cost", "3"), "--default-cost .*network.default_cost"),
+        (("solve", CASE5, "--lossy"), "--lossy .*--set network.lossy=true"),
+        (("validate", CASE5, "--lossy"), "--lossy .*--set network.lossy=true"),
         (("plot", CASE5), r"case5-step\.yaml: not a result of opfmodel: is not a NetCDF 4 file$"),
         (("plot", "x" * 5000), "no such file"),
         (("plot", "/dev/zero"), "is a device"),

@@ -220,6 +220,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("base_mva: 100", "base_mva: 100\n  remove: [cell1, load44]", r":11:19: network.remove.1: .*'load44'; did you mean 'load4'"),
         ("controller:", "controller.formulation: dc\ncontroller:", r":47:1: controller.formulation: unknown key; nest it: controller: {formulation: \.\.\.}"),
         ("base_mva: 100", "file: a.m\n  default_cost: dear", ":11:3: network.default_cost: 'dear': must be a number"),
+        ("base_mva: 100", "file: a.m\n  lossy: 1", ":11:3: network.lossy: 1: must be true or false"),
         ("factor: 1.06", "factor: -1", ":39:5: profiles.0.scale: scale: factor = -1.0: must be at least 0"),
         ("factor: 1.06", "factor: .nan", ":39:13: profiles.0.scale.factor: nan: must be a finite number"),
         ("factor: 1.06", "factor: .inf", ":39:13: profiles.0.scale.factor: .*finite number"),

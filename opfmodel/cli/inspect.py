@@ -5,15 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from opfmodel.cli import show
-from opfmodel.cli.options import FILE, JSON, SET, VARIANT
+from opfmodel.cli.options import FILE, JSON, LOSSY, SET, VARIANT
 from opfmodel.cli.output import print_json, print_line, print_notes
-from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario
+from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario, refuse_lossy
 from opfmodel.errors import OpfmodelError
 
 __all__ = ["list_plugins", "validate"]
 
 
-def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON = False) -> int:
+def validate(
+    file: FILE, lossy: LOSSY = False, variant: VARIANT = None, set_: SET = None, json_: JSON = False
+) -> int:
     """Check a scenario, study or network file without solving it.
 
     A scenario is checked with each of its variants unless one is given: one stage of its problem is
@@ -24,6 +26,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
     from opfmodel.scenario.rehearsal import rehearse
 
     if is_scenario(file):
+        refuse_lossy(file, lossy)
         document = read_document(file)
         if document.is_study:
             return _validate_study(file, json_)
@@ -36,7 +39,7 @@ def validate(file: FILE, variant: VARIANT = None, set_: SET = None, json_: JSON 
             except OpfmodelError as error:
                 raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
-        network = read_network_file(file, default_cost=0.0)
+        network = read_network_file(file, default_cost=0.0, lossy=lossy)
         notes = per_unit(network).notes
     if json_:
         counts = {kind.plural: len(network.of(kind)) for kind in network.kinds()}

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["FILE", "JSON", "ON_INFEASIBLE", "OUT", "SCENARIO", "SET", "VARIANT", "VERBOSE"]
+__all__ = ["FILE", "JSON", "LOSSY", "ON_INFEASIBLE", "OUT", "SCENARIO", "SET", "VARIANT", "VERBOSE"]
 
 FILE = Annotated[
     Path, typer.Argument(help="Network file (MATPOWER .m, PSS/E .raw, ...) or scenario file (.yaml).")
@@ -15,6 +15,12 @@ FILE = Annotated[
 SCENARIO = Annotated[Path, typer.Argument(help="Scenario file (.yaml).")]
 OUT = Annotated[Path | None, typer.Option(help="Results folder; results/NAME by default.")]
 JSON = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+LOSSY = Annotated[
+    bool,
+    typer.Option(
+        "--lossy", help="Warn about what a network file loses when it is read, instead of refusing it."
+    ),
+]
 VERBOSE = Annotated[bool, typer.Option("--verbose", "-v", help="Print solver iterations on standard error.")]
 VARIANT = Annotated[str | None, typer.Option(help="Variant of the scenario.")]
 SET = Annotated[

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from opfmodel.scenario import Scenario
     from opfmodel.scenario.document import Document
 
-__all__ = ["check_on_infeasible", "is_scenario", "read_network_file", "read_scenario"]
+__all__ = ["check_on_infeasible", "is_scenario", "read_network_file", "read_scenario", "refuse_lossy"]
 
 
 def is_scenario(file: Path) -> bool:
@@ -85,14 +85,27 @@ def _culprit(document: Document, variant: str | None, values: Mapping[str, Any],
     return None
 
 
-def read_network_file(file: Path, default_cost: float | None) -> Network:
-    """Read a network; generators without cost data take the default cost, $/MWh."""
+def read_network_file(file: Path, default_cost: float | None, lossy: bool = False) -> Network:
+    """Read a network; generators without cost data take the default cost, $/MWh.
+
+    Parameters
+    ----------
+    lossy
+        Whether what opfmodel does not represent is lost with a warning instead of refused.
+    """
     from opfmodel.network.cases import read_network
     from opfmodel.network.costs import Polynomial
 
-    return read_network(
-        file, default_cost=None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
-    )
+    cost = None if default_cost is None else Polynomial(0.0, default_cost, 0.0)
+    return read_network(file, default_cost=cost, lossy=lossy)
+
+
+def refuse_lossy(file: Path, lossy: bool) -> None:
+    """Raise :class:`OpfmodelError` for the option ``--lossy`` with a scenario, which has a key for it."""
+    if lossy:
+        raise OpfmodelError(
+            f"{file}: --lossy applies to network files only; use --set network.lossy=true for a scenario"
+        )
 
 
 def check_on_infeasible(value: str | None) -> None:

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from opfmodel.cli import show
-from opfmodel.cli.options import FILE, JSON, ON_INFEASIBLE, SET, VARIANT, VERBOSE
+from opfmodel.cli.options import FILE, JSON, LOSSY, ON_INFEASIBLE, SET, VARIANT, VERBOSE
 from opfmodel.cli.output import print_json, solver_output
-from opfmodel.cli.reading import check_on_infeasible, is_scenario, read_network_file, read_scenario
+from opfmodel.cli.reading import (
+    check_on_infeasible,
+    is_scenario,
+    read_network_file,
+    read_scenario,
+    refuse_lossy,
+)
 from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
@@ -31,6 +37,7 @@ def solve(
     default_cost: Annotated[
         float | None, typer.Option(help="Cost in $/MWh of generators without cost data in a network file.")
     ] = None,
+    lossy: LOSSY = False,
     variant: VARIANT = None,
     set_: SET = None,
     on_infeasible: ON_INFEASIBLE = None,
@@ -48,7 +55,7 @@ def solve(
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
     with solver_output(verbose):
         problem, initial, prices = _problem(
-            file, {k: v for k, v in chosen.items() if v is not None}, default_cost, variant, set_
+            file, {k: v for k, v in chosen.items() if v is not None}, default_cost, lossy, variant, set_
         )
         problem.verbose = verbose
         plan = problem.solve(initial=initial)
@@ -86,6 +93,7 @@ def _problem(
     file: Path,
     chosen: Mapping[str, Any],
     default_cost: float | None,
+    lossy: bool,
     variant: str | None,
     overrides: list[str] | None,
 ) -> tuple[MultiStage, Mapping[str, Any] | None, Elastic | None]:
@@ -98,9 +106,10 @@ def _problem(
                 f"{file}: --default-cost applies to network files only; "
                 "use --set network.default_cost, a cost such as {c1: 30}"
             )
+        refuse_lossy(file, lossy)
         changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
         scenario = read_scenario(file, variant, overrides, changes)
         return scenario.problem, scenario.initial(), scenario.elastic
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return MultiStage(read_network_file(file, default_cost), **chosen), None, None
+    return MultiStage(read_network_file(file, default_cost, lossy), **chosen), None, None

@@ -124,8 +124,48 @@ class Profiles(Mapping[SeriesKey, Array]):
         return min((len(values) for values in self.values()), default=None)
 
     def steps(self, chosen: slice | npt.NDArray[np.integer[Any]]) -> Profiles:
-        """Select time steps; shorter series are truncated."""
-        return Profiles({key: values[chosen] for key, values in self.items()})
+        """Select time steps; shorter series are truncated.
+
+        Time stamps are kept for a slice without a stride, and dropped otherwise.
+        """
+        return Profiles({key: values[chosen] for key, values in self.items()}, self._calendar_of(chosen))
+
+    def _calendar_of(self, chosen: slice | npt.NDArray[np.integer[Any]]) -> Calendar | None:
+        if self.calendar is None or not isinstance(chosen, slice) or chosen.step not in (None, 1):
+            return None
+        start = chosen.start or 0
+        return self.calendar.later(start) if start >= 0 else None
+
+    def or_else(self, others: Profiles) -> Profiles:
+        """Return these series, and those of ``others`` that these lack.
+
+        If both have time stamps, the first step is that of these series, and ``others`` lose the steps
+        before it. Series without time stamps begin at the first step.
+
+        Raises
+        ------
+        ProfileError
+            Both have time stamps, which differ in the step, are out of phase or do not overlap, or
+            ``others`` begin later.
+        """
+        calendar = self.calendar or others.calendar
+        if not others:
+            return self if calendar is self.calendar else Profiles(self, calendar)
+        kept = others.steps(slice(self._lead(others), None))
+        return Profiles({**kept, **self}, calendar)
+
+    def _lead(self, others: Profiles) -> int:
+        """Number of steps by which the time stamps of ``others`` begin earlier."""
+        if self.calendar is None or others.calendar is None:
+            return 0
+        lead = others.calendar.steps_until(self.calendar)
+        if others.length is not None and lead >= others.length:
+            ends = others.calendar.shown(others.length)
+            raise ProfileError(
+                f"time series end at {ends}, before the first step at {self.calendar.shown(0)}; "
+                "they must overlap with it"
+            )
+        return lead
 
 
 def _vector(key: SeriesKey, values: Any) -> Array:

@@ -3,6 +3,7 @@ from .arrays import Index as Index
 from .arrays import PerUnitNetwork as PerUnitNetwork
 from .arrays import Table as Table
 from .arrays import per_unit as per_unit
+from .cases import from_pypsa as from_pypsa
 from .cases import read_network as read_network
 from .cases import write_network as write_network
 from .component import Component as Component

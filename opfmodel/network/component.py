@@ -56,6 +56,9 @@ _RULES: Mapping[str, _Check] = {
 }
 
 
+_COEFFICIENTS = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
+
+
 class Component:
     """Base class of all components of a network.
 
@@ -146,15 +149,23 @@ class Component:
         made = {}
         for name, item in cls.fields().items():
             form, unit = item.metadata["form"], item.metadata["unit"]
-            series = item.metadata.get("series", True)
-            if form == "number":
-                made[name] = TableField(form, unit, series)
-            elif form == "span":
-                made |= dict.fromkeys((f"{name}_min", f"{name}_max"), TableField(form, unit, series))
-            elif form == "cost":
-                units = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
-                made |= {coefficient: TableField(form, u, series) for coefficient, u in units.items()}
+            for quantity in cls.quantities(name):
+                own = _COEFFICIENTS[quantity] if form == "cost" else unit
+                made[quantity] = TableField(form, own, item.metadata.get("series", True))
         return made
+
+    @classmethod
+    def quantities(cls, key: str) -> tuple[str, ...]:
+        """Names in the arrays of this kind of the quantities that a field states.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Generator
+        >>> Generator.quantities("p"), Generator.quantities("cost"), Generator.quantities("bus")
+        (('p_min', 'p_max'), ('c2', 'c1', 'c0'), ())
+        """
+        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(_COEFFICIENTS)}
+        return named.get(cls.fields()[key].metadata["form"], ())
 
     def constant(self, field: str) -> float:
         """Declared value of a quantity of the arrays, such as ``p``, ``p_max`` or ``c1``.

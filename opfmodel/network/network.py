@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
@@ -129,7 +129,8 @@ class Network:
         """Replace fields of a declared component: ``grid.update("coal", ramp=30)``.
 
         Fields are checked as by :meth:`add`, so a component that is put in service,
-        ``grid.update("coal", in_service=True)``, must satisfy all rules.
+        ``grid.update("coal", in_service=True)``, must satisfy all rules. The new values replace attached
+        time series of these fields.
         """
         old = self[name]
         for key, value in changes.items():
@@ -140,13 +141,26 @@ class Network:
         new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check_declared(name)
         self._set(name, new)
+        self._detach(name, [quantity for key in changes for quantity in old.quantities(key)])
         return new
 
     def remove(self, name: str) -> Component:
-        """Remove a component from the network and return it."""
+        """Remove a component and its attached time series from the network, and return it."""
         component = self[name]
         self._set(name, None)
+        self._detach(name)
         return component
+
+    def _detach(self, component: str, fields: Collection[str] | None = None) -> None:
+        """Remove the attached time series of fields of a component; by default of all."""
+        series = self._profiles
+        kept = {
+            key: values
+            for key, values in series.items()
+            if key.component != component or not (fields is None or key.field in fields)
+        }
+        if len(kept) < len(series):
+            self.attach(Profiles(kept, series.calendar))
 
     def _set(self, name: str, component: Component | None) -> None:
         """Change the components; every change goes through here to clear the cache."""

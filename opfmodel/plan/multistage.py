@@ -62,13 +62,14 @@ class MultiStage:
     horizon
         Number of stages; 1 is an ordinary optimal power flow.
     step
-        Length of a stage in hours.
+        Length of a stage in hours; by default that of the time series, or 1 h if they have no time stamps.
     formulation
         Name or instance of a formulation.
     objective
         An objective; :class:`opfmodel.Economic` by default.
     profiles
-        Time series ``{"component.field": values}``; see :class:`opfmodel.Profiles`.
+        Time series ``{"component.field": values}``; see :class:`opfmodel.Profiles`. They override those
+        of the network, one by one.
     generator_delay
         0: the dispatch of the first stage is decided, ramp-limited from the last one applied.
         1: it is given, and decisions take effect one stage later (Faulwasser and Engelmann).
@@ -109,7 +110,7 @@ class MultiStage:
         self,
         network: Network,
         horizon: int = 1,
-        step: float = 1.0,
+        step: float | None = None,
         *,
         formulation: str | Formulation = "ac",
         objective: Objective | None = None,
@@ -137,16 +138,17 @@ class MultiStage:
                 raise ModelError(
                     f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
                 )
+        self.profiles = Profiles.of(profiles).or_else(network.profiles)
+        check_series(self.profiles, network)
         self.network = network.copy()  # what is changed from now on is for other problems
+        self.network.attach(Profiles())  # the problem has them
         self.horizon = integer("horizon", horizon, at_least=1)
-        self.step = number_within("step", step, at_least=shortest, at_most=longest)
+        self.step = number_within("step", self._step(step), at_least=shortest, at_most=longest)
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
         needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
         check_memory(f"horizon = {horizon:,}", needed)
         self.objective = Economic() if objective is None else objective
-        self.profiles = Profiles.of(profiles)
-        check_series(self.profiles, network)
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
         self.regularisation = (
@@ -168,6 +170,18 @@ class MultiStage:
         if name in _STATED and "_compiled" in self.__dict__:
             raise ModelError(f"{name}: the problem is already compiled; create another one")
         super().__setattr__(name, value)
+
+    def _step(self, stated: float | None) -> float:
+        """Return the length of a stage: as stated, or that of the time series."""
+        calendar = self.profiles.calendar
+        if stated is None:
+            return 1.0 if calendar is None else calendar.step
+        if calendar is not None and not calendar.has_step(stated):
+            raise ModelError(
+                f"step = {stated!r}: the time series have a step of {calendar.step:g} h; "
+                "leave the step out, or resample the series"
+            )
+        return stated
 
     def __repr__(self) -> str:
         noun = "stage" if self.horizon == 1 else "stages"

@@ -116,7 +116,8 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             key: v
             for key, v in problem.profiles.items()
             if key.component not in storages and key.field != "ramp"
-        }
+        },
+        problem.profiles.calendar,
     )
     window = kept.steps(slice(start, start + steps))
     if window.length is not None and window.length < steps:
@@ -166,8 +167,9 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
 
 
 def _alone(network: Network) -> Network:
-    """Return the network without storage and ramps."""
+    """Return the network without storage, ramps and attached time series."""
     alone = network.copy()
+    alone.attach(Profiles())
     for name in network.of(Storage):
         alone.remove(name)
     for name, generator in network.of(Generator).items():

@@ -33,7 +33,7 @@ __all__ = ["Declarations", "component_kinds"]
 class Declarations:
     """Builder of the network of a scenario from its ``network`` section."""
 
-    _OWN = ("file", "name", "base_mva", "default_cost", "update", "remove")
+    _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
 
     def __init__(self, document: Document, section: dict[str, Any]) -> None:
         self.document = document
@@ -91,10 +91,14 @@ class Declarations:
         price = self.section.get("default_cost")
         if price is not None and not is_number(price):
             raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
+        lossy = self.section.get("lossy", False)
+        if not isinstance(lossy, bool):
+            raise self.document.error(("network", "lossy"), f"{shown(lossy)}: must be true or false")
         with self.document.located("network", "file"):
             return read_network(
                 self.document.path.parent / file,
                 default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
+                lossy=lossy,
             )
 
     def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:

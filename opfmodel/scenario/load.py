@@ -31,6 +31,7 @@ from opfmodel.scenario.parts import (
 )
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
+from opfmodel.scenario.timing import settled
 from opfmodel.simulation import check_response
 from solvers import Kind, find
 
@@ -72,7 +73,8 @@ def load_scenario(
         network = declarations.network(name)
         declarations.check(network)
     cost = make_objective(document, ("cost",), settings.cost)
-    profiles = make_profiles(document, settings, network)
+    settings, calendar = settled(document, settings, network)
+    profiles = make_profiles(document, settings, network, calendar)
     forecast = make_forecast(document, settings)
     constraints = read_constraints(document, settings)
 

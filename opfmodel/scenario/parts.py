@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel import plugins
+from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError
@@ -28,10 +29,19 @@ from opfmodel.simulation import Plant
 __all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "planned_objective"]
 
 
-def make_profiles(document: Document, settings: ScenarioFile, network: Network) -> Profiles:
-    """Build the time series by applying the profile rules of the file in order."""
+def make_profiles(
+    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
+) -> Profiles:
+    """Build the time series by applying the profile rules of the file to those attached to the network.
+
+    Parameters
+    ----------
+    calendar
+        Time stamps of the steps; None if the steps are only numbered.
+    """
     _check_size(document, settings, network)
     book = Workbook(network, settings.length, settings.time.step, document.path.parent)
+    book.series |= _attached(document, settings, network, calendar)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
         name, options = _single(document, key, spec)
@@ -41,9 +51,25 @@ def make_profiles(document: Document, settings: ScenarioFile, network: Network) 
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
             check_finite(Profiles(changed), network)
     with document.located("profiles"), _sourced(book):
-        made = Profiles(book.series)
+        made = Profiles(book.series, calendar)
         check_series(made, network)
         return made
+
+
+def _attached(
+    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
+) -> Profiles:
+    """Return the time series attached to the network, from the first step on."""
+    with document.located("time"):
+        series = Profiles({}, calendar).or_else(network.profiles)
+    if series.length is not None and series.length < settings.length:
+        raise document.error(
+            ("time", "steps"),
+            f"{settings.time.steps:,}: with a horizon of {settings.controller.horizon}, time series of "
+            f"{settings.length:,} values are needed; those of the network have {series.length:,} from the "
+            "first step on",
+        )
+    return series.steps(slice(0, settings.length))
 
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:

@@ -41,6 +41,8 @@ class Section(BaseModel):
 
 
 class TimeSection(Section):
+    start: str | None = Field(None, description="beginning of the first step, ISO 8601")
+    zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
     step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
     steps: int = Field(1, ge=1)
 

@@ -1,0 +1,319 @@
+"""Reading of network files with powerio: MATPOWER, PSS/E and all formats without a reader of their own.
+
+Diagnostics of powerio are issued as :class:`CaseWarning`. Equipment in service that opfmodel does not
+model is an error unless the user accepts the loss.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from opfmodel.data.files import check_file, is_folder
+from opfmodel.errors import CaseError, ComponentError, OpfmodelError, listed
+from opfmodel.network.cases.losses import Losses
+from opfmodel.network.cases.matpower import CaseFile, read_case
+from opfmodel.network.cases.warn import warn
+from opfmodel.network.component import Component
+from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.network import Network
+
+__all__ = ["read_powerio"]
+
+
+def read_powerio(
+    path: Path, format: str | None, *, default_cost: Cost | None = None, lossy: bool = False
+) -> Network:
+    """Read a file of any format that powerio reads.
+
+    Parameters and errors are those of :func:`opfmodel.network.cases.read.read_network`. Only generators
+    whose cost cannot be represented and that are out of service are left out, with a warning. MATPOWER
+    files are checked by :mod:`opfmodel.network.cases.matpower` first.
+    """
+    module, source = _parse(path, format)
+    losses = Losses(str(path))
+    case = _balanced(path, module.value, losses)
+    try:
+        name = path.stem if case.name in ("", "case") else str(case.name)
+        network = _Reader(path, case, Network(name, case.base_mva), default_cost, source, losses).read()
+    except CaseError:
+        raise
+    except OpfmodelError as error:
+        raise CaseError(f"{path}: {error}") from error
+    losses.settle(lossy)
+    return network
+
+
+def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
+    """Parse a file with powerio, and issue the warnings of powerio and of this package."""
+    import powerio
+
+    source = read_case(path) if _is_matpower(path, format) else None
+    try:
+        if source is not None:
+            module = powerio.parse(source.text.encode(), format="matpower", name=path.name)
+        else:
+            for file in sorted(path.iterdir()) if is_folder(path) else [path]:
+                if not is_folder(file):
+                    check_file(file, CaseError)
+            # powerio refuses symbolic links, so they are resolved first.
+            module = powerio.parse(str(path.resolve()), format=format)
+    except (powerio.PowerIOError, OSError, UnicodeError) as error:
+        raise CaseError(f"{path}: {_reason(error, format)}") from error
+    diagnostics = list(module.diagnostics)
+    if source is not None:
+        if source.changes and any(d.code == _NOT_EVALUATED for d in diagnostics):
+            # powerio evaluates all of them or none, but does not report their lines.
+            source.remarks.append(source.unevaluated(source.changes))
+            diagnostics = [d for d in diagnostics if d.code != _NOT_EVALUATED]
+        for remark in source.remarks:
+            warn(remark)
+    for diagnostic in diagnostics:
+        warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
+    return module, source
+
+
+def _reason(error: Exception, format: str | None) -> str:
+    """Describe why powerio cannot read a file, without its error codes."""
+    code = getattr(error, "code", None)
+    if code == _UNKNOWN_FORMAT:
+        unknown = "the format cannot be inferred" if format is None else f"no format is named {format!r}"
+        return f"cannot be read as a network: {unknown}; accepted are {_FORMATS}"
+    return f"cannot be read as a network: {str(error).removeprefix(f'{code}: ')}"
+
+
+_FORMATS = "MATPOWER .m, PSS/E .raw, pandapower JSON, PyPSA CSV folders and the other formats of powerio"
+_UNKNOWN_FORMAT = "REQUEST.FORMAT.UNKNOWN"
+_NOT_EVALUATED = "READ.MATPOWER.INDEXED_ASSIGNMENT"
+
+
+def _is_matpower(path: Path, format: str | None) -> bool:
+    import powerio
+
+    if format is None:
+        return path.suffix.lower() == ".m"
+    known = powerio.resolve_format(format)
+    return known is not None and known.token == "matpower"
+
+
+def _balanced(path: Path, value: Any, losses: Losses) -> Any:
+    """Extract the balanced network from the value returned by powerio."""
+    import powerio
+
+    if isinstance(value, powerio.TimeSeries):
+        losses.add(f"{len(value)} snapshots: only the first is used")
+        value = value[0]
+    if hasattr(value, "network"):
+        value = value.network
+    if not isinstance(value, powerio.BalancedNetwork):
+        raise CaseError(f"{path}: contains a {type(value).__name__}; must be a balanced transmission network")
+    if any(switch["closed"] for switch in value.switches):
+        value = value.merge_buses(closed_switches=True).network
+        warn(f"{path}: buses joined by closed switches were merged")
+    unmodelled = {
+        "hvdc": "HVDC lines",
+        "static_var_compensators": "static var compensators",
+        "transformers_3w": "three-winding transformers",
+    }
+    for kind, what in unmodelled.items():
+        members = [record for record in _records(value, kind) if record["in_service"]]
+        if members:
+            losses.add(
+                f"{len(members)} {what} in service: they are left out; take them out of service or replace "
+                "them with branches, generators and loads"
+            )
+    return value
+
+
+def _records(case: Any, kind: str) -> Sequence[Mapping[str, Any]]:
+    """Records of a rare kind, guarded by its count: powerio scans the whole case even if there are none."""
+    return getattr(case, kind) if getattr(case, f"n_{kind}") else ()
+
+
+class _Reader:
+    """Convert powerio records to components."""
+
+    def __init__(
+        self,
+        path: Path,
+        case: Any,
+        network: Network,
+        default_cost: Cost | None,
+        source: CaseFile | None,
+        losses: Losses,
+    ) -> None:
+        self.path = path
+        self.losses = losses
+        self.source = source
+        self.case = case
+        self.network = network
+        self.default_cost = default_cost
+        self.numbers: dict[str, int] = {}  # number of components per requested name
+        self.bus_row = {record["id"]: row for row, record in enumerate(case.buses)}
+
+    def read(self) -> Network:
+        """Declare all components."""
+        self._buses()
+        self._branches()
+        self._generators()
+        for record in self.case.loads:
+            bus = record["bus"]
+            load = Load(str(bus), p=record["p"], q=record["q"], in_service=record["in_service"])
+            self._add(f"load{bus}", load, "bus", self.bus_row.get(bus))
+        for record in self.case.shunts:
+            bus = record["bus"]
+            shunt = Shunt(str(bus), g=record["g"], b=record["b"], in_service=record["in_service"])
+            self._add(f"shunt{bus}", shunt, "bus", self.bus_row.get(bus))
+        for row, record in enumerate(_records(self.case, "storage")):
+            self._storage(row, record)
+        return self.network
+
+    def _add(self, name: str, component: Component, table: str, row: int | None) -> None:
+        """Declare the component of a table row; repeated names get a numbered suffix."""
+        number = self.numbers[name] = self.numbers.get(name, 0) + 1
+        unique = name if number == 1 else f"{name}#{number}"
+        try:
+            self.network.add(unique, component)
+        except ComponentError as error:
+            table = "gencost" if error.field == "cost" else table
+            raise CaseError(f"{self._place(table, row)}: {error}") from error
+
+    def _place(self, table: str, row: int | None) -> str:
+        """File and, if known, line of a table row."""
+        if self.source is None or row is None:
+            return str(self.path)
+        return self.source.place(table, row)
+
+    def _buses(self) -> None:
+        for row, record in enumerate(self.case.buses):
+            self._add(
+                str(record["id"]),
+                Bus(
+                    vm=(record["vmin"], record["vmax"]),
+                    base_kv=record["base_kv"] or None,
+                    reference=record["kind"] == "REF",
+                    in_service=record["kind"] != "ISOLATED",
+                ),
+                "bus",
+                row,
+            )
+
+    def _branches(self) -> None:
+        for row, record in enumerate(self.case.branches):
+            charging = record["b_fr"] + record["b_to"]
+            even = record["b_fr"] == record["b_to"]
+            self._add(
+                f"{record['from_id']}-{record['to_id']}",
+                Branch(
+                    str(record["from_id"]),
+                    str(record["to_id"]),
+                    r=record["r"],
+                    x=record["x"],
+                    b=charging if even else 0.0,
+                    b_from=0.0 if even else record["b_fr"],
+                    b_to=0.0 if even else record["b_to"],
+                    g_from=record["g_fr"],
+                    g_to=record["g_to"],
+                    rating=record["rate_a"] or None,
+                    tap=record["tap"] or 1.0,
+                    shift=record["shift"],
+                    angle=_angles(record["angmin"], record["angmax"]),
+                    in_service=record["in_service"],
+                ),
+                "branch",
+                row,
+            )
+
+    def _generators(self) -> None:
+        without = []
+        for row, record in enumerate(self.case.generators):
+            name, in_service = f"gen{row + 1}", bool(record["in_service"])
+            try:
+                cost = self.default_cost if record["cost"] is None else self._cost(name, row, record["cost"])
+            except CaseError as error:
+                if in_service:
+                    raise
+                warn(f"{error}; the generator is out of service and is left out")
+                continue
+            if cost is None:
+                without.append(name)
+                continue
+            ramp_30 = record["caps"][8] if len(record["caps"]) > 8 else None
+            self._add(
+                name,
+                Generator(
+                    str(record["bus"]),
+                    p=(record["pmin"], record["pmax"]),
+                    q=(record["qmin"], record["qmax"]),
+                    ramp=2.0 * ramp_30 if ramp_30 else None,
+                    cost=cost,
+                    in_service=in_service,
+                ),
+                "gen",
+                row,
+            )
+        if without:
+            raise CaseError(
+                f"{self.path}: no cost data for {listed(without)}; give a default cost "
+                "(default_cost=Polynomial(0, 30, 0) in Python, --default-cost 30 on the command line, "
+                "network.default_cost in a scenario)"
+            )
+
+    def _cost(self, name: str, row: int, record: Mapping[str, Any]) -> Cost:
+        """Cost of a generator; raises an error unless the model is known and the data are complete."""
+        model, width = record["model"], 2 if record["model"] == 1 else 1
+        values = [float(c) for c in record["coeffs"]][: width * int(record["ncost"])]
+        if model not in (1, 2) or not values or len(values) != width * int(record["ncost"]):
+            raise CaseError(
+                f"{self._place('gencost', row)}: {name}: cost: model {model} with {record['ncost']} terms "
+                f"and {len(values)} numbers; must be a polynomial or piecewise-linear cost"
+            )
+        if model == 1:
+            return PiecewiseLinear(tuple(zip(values[0::2], values[1::2], strict=True)))
+        while len(values) > 3 and values[0] == 0:
+            values = values[1:]
+        if len(values) > 3:
+            raise CaseError(
+                f"{self._place('gencost', row)}: {name}: cost: a polynomial of degree {len(values) - 1}; "
+                "degrees up to 2 and convex piecewise-linear costs are accepted"
+            )
+        c2, c1, c0 = [0.0] * (3 - len(values)) + values
+        return Polynomial(c2, c1, c0)
+
+    def _storage(self, row: int, record: Mapping[str, Any]) -> None:
+        number = {
+            key: float(value)
+            for key, value in record.items()
+            if isinstance(value, int | float | str) and key not in ("bus", "uid")
+        }
+        for key in ("r", "x", "p_loss", "q_loss"):
+            if number.get(key):
+                self.losses.add(
+                    f"storage{record['bus']}: {key} = {number[key]:g}: losses are modelled by the "
+                    "efficiencies and standing_loss only"
+                )
+        rating = number.get("thermal_rating", math.inf)
+        self._add(
+            f"storage{record['bus']}",
+            Storage(
+                str(record["bus"]),
+                energy=number["energy_rating"],
+                power=(-number["discharge_rating"], number["charge_rating"]),
+                q=(number["qmin"], number["qmax"]),
+                initial=number["energy"],
+                charge_efficiency=number["charge_efficiency"],
+                discharge_efficiency=number["discharge_efficiency"],
+                rating=rating if rating > 0 else None,
+                in_service=bool(record["in_service"]),
+            ),
+            "storage",
+            row,
+        )
+
+
+def _angles(low: float, high: float) -> tuple[float, float]:
+    """Angle limits; MATPOWER writes 0, 0 for no limit."""
+    return (-360.0, 360.0) if low == high == 0 else (low, high)

@@ -1,0 +1,154 @@
+"""Access to a PyPSA network: the components that are read, their names here, and their values."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import CaseError
+
+__all__ = ["PREFIXES", "UNNAMED", "Array", "Source", "Value"]
+
+Array = npt.NDArray[np.float64]
+Value = float | Array
+
+PREFIXES = {
+    "lines": "line",
+    "transformers": "transformer",
+    "generators": "generator",
+    "loads": "load",
+    "storage_units": "storage_unit",
+    "stores": "store",
+    "shunt_impedances": "shunt",
+}
+"""Classes that are read besides buses, and the prefix of a name that components of several classes have."""
+UNNAMED = "Unnamed Network"
+"""PyPSA's name of a network without one."""
+
+
+class Source:
+    """A PyPSA network as it is read.
+
+    Attributes
+    ----------
+    n
+        The ``pypsa.Network``.
+    title
+        What messages call it.
+    hours
+        Length of a snapshot, h.
+    buses
+        Names of the buses that are represented, those with alternating current.
+    names
+        Name of each component in opfmodel, by class and name in PyPSA.
+    """
+
+    def __init__(self, n: Any, title: str, hours: float) -> None:
+        self.n = n
+        self.title = title
+        self.hours = hours
+        carriers = self.static("buses").carrier
+        self.buses = [bus for bus in carriers.index if carriers.at[bus] == "AC"]
+        self._members = {name: list(self._at_buses(name)) for name in PREFIXES}
+        self.names = self._unique_names()
+
+    @staticmethod
+    def title_of(n: Any) -> str:
+        """Return what messages call a network."""
+        return "PyPSA network" if n.name in ("", UNNAMED) else f"PyPSA network {n.name!r}"
+
+    @property
+    def network_name(self) -> str:
+        """Name of the network in opfmodel."""
+        return "network" if self.n.name in ("", UNNAMED) else str(self.n.name)
+
+    def static(self, class_name: str) -> Any:
+        """Return the table of a class."""
+        return getattr(self.n.c, class_name).static
+
+    def members(self, class_name: str) -> list[Any]:
+        """Return the names, in PyPSA, of the components of a class at buses that are represented."""
+        return self._members[class_name]
+
+    def active(self, class_name: str) -> list[Any]:
+        """Return those members of a class that are active."""
+        active = self.static(class_name).active
+        return [name for name in self.members(class_name) if active.at[name]]
+
+    def storages(self) -> Iterator[tuple[str, Any]]:
+        """Yield class and name of all active storage units and stores."""
+        for class_name in ("storage_units", "stores"):
+            for name in self.active(class_name):
+                yield class_name, name
+
+    def cyclic(self, class_name: str, name: Any) -> bool:
+        """Whether the energy of a storage ends where it begins."""
+        column = "e_cyclic" if class_name == "stores" else "cyclic_state_of_charge"
+        return bool(self.static(class_name)[column].at[name])
+
+    def value(self, class_name: str, name: Any, attribute: str) -> Value:
+        """Return the value of an attribute: one number, or one per snapshot."""
+        components = getattr(self.n.c, class_name)
+        dynamic = components.dynamic.get(attribute)
+        if dynamic is not None and name in dynamic.columns:
+            return np.asarray(dynamic[name].to_numpy(), dtype=float)
+        if attribute not in components.static:  # an older PyPSA
+            return math.nan
+        return float(components.static[attribute].at[name])
+
+    def first(self, class_name: str, name: Any, attribute: str) -> float:
+        """Return the value of an attribute in the first snapshot."""
+        return float(np.ravel(self.value(class_name, name, attribute))[0])
+
+    def energy(self, class_name: str, name: Any) -> tuple[Array, Array]:
+        """Return the limits of the energy of a storage at the end of each snapshot, MWh."""
+        row = self.static(class_name).loc[name]
+        low: Value
+        high: Value
+        if class_name == "stores":
+            low = float(row.e_nom) * self.value(class_name, name, "e_min_pu")
+            high = float(row.e_nom) * self.value(class_name, name, "e_max_pu")
+            fixed = self.value(class_name, name, "e_set")
+        else:
+            low, high = 0.0, float(row.p_nom) * float(row.max_hours)
+            fixed = self.value(class_name, name, "state_of_charge_set")
+        return np.atleast_1d(np.fmax(low, fixed)), np.atleast_1d(np.fmin(high, fixed))
+
+    def ramp_limits(self, name: Any) -> tuple[Value, Value]:
+        """Return the upward and downward ramp limits of a generator, per unit and snapshot; NaN for none."""
+        up, down = (self.value("generators", name, f"ramp_limit_{way}") for way in ("up", "down"))
+        return up, down
+
+    def _at_buses(self, class_name: str) -> Iterator[Any]:
+        table, represented = self.static(class_name), set(self.buses)
+        columns = [column for column in ("bus", "bus0", "bus1") if column in table]
+        known = set(self.static("buses").index)
+        for name, *buses in table[columns].itertuples():
+            for column, bus in zip(columns, buses, strict=True):
+                if bus not in known:
+                    what = PREFIXES[class_name].replace("_", " ")
+                    raise CaseError(f"{self.title}: {what} {name!r}: {column} = {bus!r}: no such bus")
+            if represented.issuperset(buses):
+                yield name
+
+    def _unique_names(self) -> dict[tuple[str, Any], str]:
+        names = {("buses", bus): str(bus) for bus in self.buses}
+        uses = Counter(names.values())
+        for members in self._members.values():
+            uses.update(str(name) for name in members)
+        taken = set(uses)
+        for class_name, members in self._members.items():
+            for member in members:
+                name = str(member)
+                if uses[name] > 1:
+                    name = f"{PREFIXES[class_name]}_{name}"
+                    while name in taken:
+                        name += "_"
+                    taken.add(name)
+                names[class_name, member] = name
+        return names
