@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-import os.path
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from heapq import nsmallest
+from itertools import islice
 
 __all__ = [
     "CaseError",
@@ -37,6 +37,7 @@ __all__ = [
 # control and format characters, lone surrogates, line and paragraph separators
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _LONGEST = 200
+MOST_FAULTS = 100  # reported at once: naming the nearest name for each takes time
 _MOST_COMPARED = 200  # comparing ten thousand names letter by letter takes a second
 
 
@@ -83,6 +84,16 @@ class Fault:
         """The key and what is wrong, without the position."""
         return f"{self.dotted_key}: {self.message}" if self.key else self.message
 
+    def as_dict(self) -> dict[str, str | int | None]:
+        """Return position, key and message as plain values."""
+        return {
+            "file": self.file,
+            "line": self.line,
+            "column": self.column,
+            "key": self.dotted_key or None,
+            "message": self.message,
+        }
+
     def __str__(self) -> str:
         """Return file, line, column, key and message on one line."""
         where = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
@@ -94,7 +105,17 @@ class OpfmodelError(Exception):
 
     The message is a single line, whatever names and paths it quotes; that of several faults has one
     line for each.
+
+    Attributes
+    ----------
+    key
+        Path of keys to the invalid entry, inside the value that was read.
+    others
+        Errors that were found together with this one; see :func:`raise_all`.
     """
+
+    key: tuple[str | int, ...] = ()
+    others: tuple[OpfmodelError, ...] = ()
 
     def __init__(self, message: str = "") -> None:
         super().__init__(visible(message))
@@ -156,6 +177,10 @@ class ProfileWarning(UserWarning):
 class ModelError(OpfmodelError):
     """An option of a formulation, objective, device, plant or horizon is invalid."""
 
+    def __init__(self, message: str, *key: str | int) -> None:
+        super().__init__(message)
+        self.key = key
+
 
 class IncompatibleError(ModelError):
     """Valid parts, such as an objective and a formulation, cannot be combined.
@@ -180,17 +205,7 @@ class QuantityError(ModelError):
 
 
 class ConstraintError(ModelError):
-    """A constraint in a scenario file is malformed or refers to an unknown name.
-
-    Attributes
-    ----------
-    key
-        Path of keys, below the constraint's name, to the invalid entry.
-    """
-
-    def __init__(self, message: str, *key: str) -> None:
-        super().__init__(message)
-        self.key = key
+    """A constraint in a scenario file is malformed or refers to an unknown name."""
 
 
 class PluginError(OpfmodelError):
@@ -199,9 +214,7 @@ class PluginError(OpfmodelError):
     Attributes
     ----------
     option
-        Invalid option, if the error concerns one.
-    key
-        Path of keys to the invalid entry: the option, then keys inside its value.
+        Invalid option, if the error concerns one; :attr:`key` is the option, then keys inside its value.
     """
 
     def __init__(self, message: str, *key: str | int) -> None:
@@ -247,6 +260,14 @@ class StudyError(OpfmodelError):
     """A study cannot continue: its folder is in use, or its workers are unavailable."""
 
 
+def raise_all(errors: Iterable[OpfmodelError]) -> None:
+    """Raise the first of several errors, which carries the others; return if there are none."""
+    found = list(islice(errors, MOST_FAULTS + 1))
+    if found:
+        found[0].others = tuple(found[1:])
+        raise found[0]
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the known names closest to ``name``, or list all of them if none is close."""
     names = sorted(known)
@@ -266,11 +287,16 @@ def _similar(name: str, names: list[str]) -> list[str]:
         return names
 
     def other_letters(known: str) -> int:
-        begin = len(os.path.commonprefix((name, known)))
-        end = len(os.path.commonprefix((name[begin:][::-1], known[begin:][::-1])))
-        return max(len(name), len(known)) - begin - end
+        begin = _shared(name, known)
+        return max(len(name), len(known)) - begin - _shared(name[begin:][::-1], known[begin:][::-1])
 
     return nsmallest(_MOST_COMPARED, names, key=other_letters)
+
+
+def _shared(one: str, other: str) -> int:
+    """Number of characters with which two texts both begin."""
+    differs = (n for n, (a, b) in enumerate(zip(one, other, strict=False)) if a != b)
+    return next(differs, min(len(one), len(other)))
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Self
 
-from opfmodel.errors import Fault, ScenarioError
+from opfmodel.errors import MOST_FAULTS, Fault, ScenarioError
 
-__all__ = ["MOST_FAULTS", "Faults"]
-
-MOST_FAULTS = 100  # the nearest name of each takes time
+__all__ = ["Faults"]
 
 
 class Faults:

@@ -45,8 +45,8 @@ class Source:
         cause: Exception | None = None,
     ) -> Fault:
         """Return a fault at a position, numbered from 1."""
-        where = (line, column) if self.is_file else (None, None)
-        return Fault(message, self.name, *where, tuple(key), self.excerpt(line, column), cause)
+        at = (line, column) if self.is_file else (None, None)
+        return Fault(message, self.name, at[0], at[1], tuple(key), self.excerpt(line, column), cause)
 
     def excerpt(self, line: int, column: int) -> str:
         r"""Return a line of the text and, below it, a caret at a column.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from opfmodel.data.source import Source
@@ -12,6 +13,7 @@ __all__ = ["SPACELESS", "syntax_fault"]
 
 # A key whose colon is followed by its value without a space, after the marks of list items.
 SPACELESS = re.compile(r"\s*(?:- +)*([A-Za-z_][\w.*-]*:)([^\s:/,\]}][^\s,\]}]*)")
+Explained = tuple[str, tuple[int, int]]  # what is wrong, and its position
 _CLOSING = {"[": "]", "{": "}"}
 _SPACES = "keys of one mapping begin in the same column"
 
@@ -26,7 +28,10 @@ def syntax_fault(error: Any, source: Source) -> Fault:
     """
     at, begin = error.problem_mark, error.context_mark or error.problem_mark
     mark = _Mark(source, at.line, at.column)
-    message, (line, column) = _explained(error, mark, _Mark(source, begin.line, begin.column))
+    said = f"{error.context or ''}: {error.problem}"
+    explain = next((explain for pattern, explain in _EXPLANATIONS if re.search(pattern, said)), None)
+    explained = explain(mark, _Mark(source, begin.line, begin.column)) if explain else None
+    message, (line, column) = explained or (str(error.problem), mark.place)
     return source.fault(line + 1, column + 1, f"not YAML: {message}")
 
 
@@ -52,47 +57,30 @@ class _Mark:
         return self.line, len(self.text) - len(self.text.lstrip())
 
 
-def _explained(error: Any, mark: _Mark, begin: _Mark) -> tuple[str, tuple[int, int]]:
-    """Return what is wrong, and its position."""
-    problem, context = str(error.problem), str(error.context or "")
-    if "tab character" in problem or ("cannot start any token" in problem and mark.character == "\t"):
+def _start(mark: _Mark, _: _Mark) -> Explained:
+    """Explain a character that begins nothing."""
+    if mark.character == "\t":
         return "a tab indents this line; indent with spaces", mark.place
-    if "cannot start any token" in problem:
-        return f"a value cannot begin with {shown(mark.character)}; put it in quotes", mark.place
-    if "mapping values are not allowed" in problem:
-        return _second_colon(mark)
-    if "sequence entries are not allowed" in problem:
-        return "an item '- ' begins behind other text; begin it on a line of its own", mark.place
-    if "flow" in context and "expected ','" in problem:
-        return _unclosed(mark, begin)
-    if "quoted scalar" in context and "unexpected" in problem:
-        return "the quotation mark opened here is not closed", begin.place
-    if "unknown escape" in problem:
-        character = shown(mark.text[mark.column + 1 : mark.column + 2])
-        return f"a backslash with {character} has no meaning; write \\\\ or single quotes", mark.place
-    if "could not find expected ':'" in problem:
-        return "a key without ': ' and a value", begin.place
-    if "scanning an alias" in context or "scanning an anchor" in context:
-        return f"{begin.character!r} is not followed by a name; put text in quotes", begin.place
-    if "block scalar" in context:
-        return f"{begin.character!r} begins text on the lines below; put text of one line in quotes", begin.place
-    if "directive" in context:
-        return "a line that begins with '%' is a directive; put text in quotes", begin.place
-    if "expected node content" in problem:
-        return f"a value cannot begin with {shown(mark.character)}", mark.place
-    if "expected key" in problem or "'-' indicator" in problem or "document start" in problem:
-        return _misplaced(mark, problem)
-    return problem, mark.place
+    return f"a value cannot begin with {shown(mark.character)}; put it in quotes", mark.place
 
 
-def _second_colon(mark: _Mark) -> tuple[str, tuple[int, int]]:
+def _escape(mark: _Mark, _: _Mark) -> Explained:
+    """Explain a backslash in double quotes."""
+    character = shown(mark.text[mark.column + 1 : mark.column + 2])
+    return f"a backslash with {character} has no meaning; write \\\\ or single quotes", mark.place
+
+
+def _second_colon(mark: _Mark, _: _Mark) -> Explained:
     """Explain a ``: `` that is not accepted: in a value, or behind a value of the lines above."""
     if re.search(r":\s", mark.before):
         return "a second ': ' on one line; put the value in quotes or on a line of its own", mark.place
     for line in range(mark.line - 1, -1, -1):
         above = mark.source.line(line + 1)
         if match := SPACELESS.match(above):
-            return f"a space is missing after the colon in {shown(match[1] + match[2])}", (line, match.start(2))
+            return f"a space is missing after the colon in {shown(match[1] + match[2])}", (
+                line,
+                match.start(2),
+            )
         if re.search(r":\s", above):
             break
     return (
@@ -101,7 +89,7 @@ def _second_colon(mark: _Mark) -> tuple[str, tuple[int, int]]:
     )
 
 
-def _unclosed(mark: _Mark, begin: _Mark) -> tuple[str, tuple[int, int]]:
+def _unclosed(mark: _Mark, begin: _Mark) -> Explained:
     """Explain a bracket that is not closed, or a comma that is missing in it."""
     opening = begin.character
     closing = _CLOSING.get(opening, "")
@@ -111,11 +99,16 @@ def _unclosed(mark: _Mark, begin: _Mark) -> tuple[str, tuple[int, int]]:
     return f"the {opening!r} opened here is not closed by {closing!r}; it continues {where}", begin.place
 
 
-def _misplaced(mark: _Mark, problem: str) -> tuple[str, tuple[int, int]]:
-    """Explain text where a key or an item of a list is expected."""
-    before = mark.before.rstrip()
-    if not before and "'-' indicator" in problem:
+def _no_item(mark: _Mark, begin: _Mark) -> Explained:
+    """Explain text where an item of a list is expected."""
+    if not mark.before.strip():
         return "expected an item '- ' as in the lines above, or another indentation", mark.place
+    return _misplaced(mark, begin)
+
+
+def _misplaced(mark: _Mark, _: _Mark) -> Explained:
+    """Explain text where a key is expected."""
+    before = mark.before.rstrip()
     if not before and mark.text[mark.column :].startswith("- "):
         return f"an item '- ' where a key is expected; {_SPACES}", mark.place
     if not before:
@@ -125,3 +118,32 @@ def _misplaced(mark: _Mark, problem: str) -> tuple[str, tuple[int, int]]:
     if mark.character in ("]", "}"):
         return f"{mark.character!r} closes no bracket", mark.place
     return f"{shown(mark.text[mark.column :].rstrip())}: expected the end of the line", mark.place
+
+
+def _at_mark(message: str) -> Callable[[_Mark, _Mark], Explained]:
+    """Return an explanation that blames the position itself."""
+    return lambda mark, _: (message.format(shown(mark.character)), mark.place)
+
+
+def _at_begin(message: str) -> Callable[[_Mark, _Mark], Explained]:
+    """Return an explanation that blames the beginning of the item."""
+    return lambda _, begin: (message.format(shown(begin.character)), begin.place)
+
+
+# By what the parser says, with its context in front; the first that matches applies.
+_EXPLANATIONS = (
+    ("tab character", _at_mark("a tab indents this line; indent with spaces")),
+    ("cannot start any token", _start),
+    ("mapping values are not allowed", _second_colon),
+    ("sequence entries are not allowed", _at_mark("an item '- ' begins behind other text; begin a line")),
+    ("flow .*expected ','", _unclosed),
+    ("quoted scalar: .*unexpected", _at_begin("the quotation mark opened here is not closed")),
+    ("unknown escape", _escape),
+    ("could not find expected ':'", _at_begin("a key without ': ' and a value")),
+    ("scanning an (alias|anchor)", _at_begin("{} is not followed by a name; put text in quotes")),
+    ("block scalar", _at_begin("{} begins text on the lines below; put text of one line in quotes")),
+    ("directive", _at_begin("a line that begins with '%' is a directive; put text in quotes")),
+    ("expected node content", _at_mark("a value cannot begin with {}")),
+    ("'-' indicator", _no_item),
+    ("expected key|document start", _misplaced),
+)  # fmt: skip

@@ -236,7 +236,8 @@ class _Reader:
 
     def sequence(self, level: int) -> tuple[list[Any], list[Place]]:
         """Values and locations up to the end of a sequence."""
-        values, places = [], []
+        values: list[Any] = []
+        places: list[Place] = []
         while not isinstance(event := next(self.events), yaml.SequenceEndEvent):
             self.path.append(len(values))
             node = self.node(event, level)

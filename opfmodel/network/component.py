@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
-from opfmodel.errors import ComponentError, ProfileError, nearest
+from opfmodel.errors import ComponentError, ProfileError, close, nearest, raise_all
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import (
     INF,
@@ -91,9 +91,8 @@ class Component:
         a :class:`Cost` with numeric parameters. Types are checked even if the component is out of
         service, because arrays, files and later updates rely on them.
         """
-        for key, metadata, check_type, _ in self._checks():
-            if check_type is not None:
-                check_type(name, key, getattr(self, key), metadata)
+        values = {key: getattr(self, key) for key in self.fields()}
+        raise_all(self._errors(name, values, in_service=False))
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` unless the component may be in service.
@@ -101,10 +100,20 @@ class Component:
         Checks the type and the rules of each field. A subclass calls this method first and then checks
         its own rules.
         """
-        self.check_types(name)
-        for key, metadata, _, check_rules in self._checks():
-            if check_rules is not None:
-                check_rules(name, key, getattr(self, key), metadata)
+        raise_all(self._errors(name, {key: getattr(self, key) for key in self.fields()}, in_service=True))
+
+    @classmethod
+    def _errors(cls, name: str, values: Mapping[str, Any], in_service: bool) -> Iterator[ComponentError]:
+        """Yield the errors of fields, each regarded by itself: types, and rules if in service."""
+        for key, metadata, check_type, check_rules in cls._checks():
+            if key in values:
+                try:
+                    if check_type is not None:
+                        check_type(name, key, values[key], metadata)
+                    if check_rules is not None and in_service:
+                        check_rules(name, key, values[key], metadata)
+                except ComponentError as error:
+                    yield error
 
     def check_declared(self, name: str) -> None:
         """Raise :class:`ComponentError` unless a network may contain the component.
@@ -233,18 +242,30 @@ class Component:
             A field is unknown, missing, or invalid (see :meth:`check_declared`).
         """
         known = cls.fields()
-        for key in values:
-            if key not in known:
-                raise ComponentError(
-                    name, key, values[key], f"unknown field of a {cls.kind}; {nearest(key, known)}"
-                )
-        for key, item in known.items():
-            if key not in values and item.default is MISSING:
-                raise ComponentError(name, key, None, f"required for a {cls.kind}")
-        converted = {key: plain_value(known[key], value) for key, value in values.items()}
+        converted = {key: plain_value(known[key], value) for key, value in values.items() if key in known}
+        raise_all(cls._errors_of_keys(name, values, converted))
         component = cls(**converted)
         component.check_declared(name)
         return component
+
+    @classmethod
+    def _errors_of_keys(
+        cls, name: str, values: Mapping[str, Any], converted: Mapping[str, Any]
+    ) -> Iterator[ComponentError]:
+        """Yield the errors of unknown and missing fields and, if there are any, those of the others."""
+        known = cls.fields()
+        unknown = [key for key in values if key not in known]
+        meant = {field for key in unknown for field in close(key, known)}
+        missing = [k for k, item in known.items() if k not in values and item.default is MISSING]
+        for key in unknown:
+            rule = f"unknown field of a {cls.kind}; {nearest(key, known)}"
+            yield ComponentError(name, key, values[key], rule)
+        for key in missing:
+            if key not in meant:
+                yield ComponentError(name, key, None, f"required for a {cls.kind}")
+        if unknown or missing:
+            in_service = converted.get("in_service", True)
+            yield from cls._errors(name, converted, not is_flag(in_service) or bool(in_service))
 
 
 _Kind = TypeVar("_Kind", bound=Component)

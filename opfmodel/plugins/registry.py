@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_type_hints
 
 from opfmodel.data.faults import fault_message
-from opfmodel.errors import PluginError, nearest, shown
+from opfmodel.errors import OpfmodelError, PluginError, close, nearest, raise_all, shown
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
@@ -155,7 +155,8 @@ def make(
     ------
     PluginError
         The plugin or an option is unknown, a required option is missing, or a value has the wrong type.
-        The attribute ``option`` names the option that is unknown or has the wrong type.
+        The attribute ``option`` names the option that is unknown or has the wrong type; ``others`` has the
+        errors of the other options.
     """
     from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -167,25 +168,33 @@ def make(
     }
     hints = get_type_hints(cls.__init__)
     checked = {}
-    for key, value in options.items():
-        if key not in accepted:
-            known = nearest(key, (*accepted, *beside))
-            raise PluginError(f"{called} has no option {key!r}; {known}", key)
-        hint = hints.get(key, Any)
-        converter = (convert or {}).get(hint)
-        try:
+
+    def errors() -> Iterator[PluginError]:
+        for key, value in options.items():
+            if key not in accepted:
+                known = nearest(key, (*accepted, *beside))
+                yield PluginError(f"{called} has no option {key!r}; {known}", key)
+                continue
+            hint = hints.get(key, Any)
+            converter = (convert or {}).get(hint)
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
-            checked[key] = adapter.validate_python(value if converter is None else converter(value))
-        except ValidationError as error:
-            fault = error.errors()[0]
-            path, at = _path(value, fault["loc"])
-            named = ".".join(str(part) for part in (key, *path))
-            raise PluginError(
-                f"{called}: {named} = {shown(at)}: {fault_message(fault)}", key, *path
-            ) from None
-    missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
-    if missing:
-        raise PluginError(f"{called} requires the option {missing[0]!r}")
+            try:
+                checked[key] = adapter.validate_python(value if converter is None else converter(value))
+            except ValidationError as error:
+                fault = error.errors()[0]
+                path, at = _path(value, fault["loc"])
+                named = ".".join(str(part) for part in (key, *path))
+                yield PluginError(f"{called}: {named} = {shown(at)}: {fault_message(fault)}", key, *path)
+            except OpfmodelError as error:
+                for each in (error, *error.others):
+                    yield PluginError(str(each), key, *each.key)
+        missing = [k for k, p in accepted.items() if p.default is p.empty and k not in options]
+        misspelt = {known for k in options if k not in accepted for known in close(k, accepted)}
+        for key in missing:
+            if key not in misspelt:
+                yield PluginError(f"{called} requires the option {key!r}")
+
+    raise_all(errors())
     return cls(**checked)
 
 

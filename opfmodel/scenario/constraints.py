@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from opfmodel.data.columns import read_columns
 from opfmodel.errors import (
     ConstraintError,
-    IncompatibleError,
     ModelError,
     ProfileError,
     QuantityError,
+    close,
     nearest,
+    raise_all,
     shown,
 )
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
@@ -27,16 +28,12 @@ __all__ = ["check_constraints", "read_constraints"]
 
 
 def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
-    """Return the constraints of a file, by name.
-
-    Raises
-    ------
-    ScenarioError
-        A constraint is malformed.
-    """
-    made = {}
+    """Return the constraints of a file, by name, without those that have a fault."""
+    made: dict[str, CustomConstraint] = {}
     for name, values in settings.constraints.items():
-        with document.located("constraints", name):
+        if document.faults.broken("constraints", name):
+            continue
+        with document.faults, document.located("constraints", name):
             made[name] = _constraint(name, values, settings.length, document.path.parent)
     return made
 
@@ -62,13 +59,19 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     known = ("terms", "at_least", "at_most", "equal")
     if not isinstance(values, Mapping):
         raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
-    for key in values:
-        if key not in known:
-            raise ConstraintError(f"unknown key; {nearest(key, known)}", key)
-    terms = values.get("terms")
-    if not isinstance(terms, Mapping):
-        raise ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
-    limits = {key: _limit(values[key], key, steps, folder) for key in known[1:] if key in values}
+    raise_all(_errors_of_keys(values, known))
+    terms = values["terms"]
+    limits: dict[str, float | list[float]] = {}
+
+    def errors() -> Iterator[ConstraintError]:
+        for key in known[1:]:
+            try:
+                if key in values:
+                    limits[key] = _limit(values[key], key, steps, folder)
+            except ConstraintError as error:
+                yield error
+
+    raise_all(errors())
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
@@ -76,6 +79,15 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
             raise ConstraintError("cannot be combined with at_least or at_most", "equal")
         limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
     return CustomConstraint.of(name, Linear(terms), **limits)
+
+
+def _errors_of_keys(values: Mapping[str, Any], known: Sequence[str]) -> Iterator[ConstraintError]:
+    for key in values:
+        if key not in known:
+            yield ConstraintError(f"unknown key; {nearest(key, known)}", key)
+    meant = {name for key in values if key not in known for name in close(key, known)}
+    if not isinstance(values.get("terms"), Mapping) and ("terms" in values or "terms" not in meant):
+        yield ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
 
 
 def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[float]:
@@ -104,31 +116,31 @@ def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[fl
 def check_constraints(
     document: Document, constraints: Mapping[str, CustomConstraint], problem: MultiStage
 ) -> None:
-    """Check that every term exists in the network and is published by the formulation.
+    """Collect the faults of terms that do not exist or that the formulation does not publish.
 
-    Errors carry the position of the term. Terms that only this formulation lacks are reported last.
+    They carry the position of the term.
     """
     if not constraints:
         return
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
-    with document.located("controller"):
-        model = bare.declare(stages=1)
-    stage: Any = PhysicalStage(model)
-    unpublished: dict[tuple[str, ...], ModelError] = {}
-    for name, constraint in constraints.items():
-        missing: dict[tuple[str, ...], ModelError] = {}
-        with document.located("constraints", name):
-            linear = constraint.state
-            assert isinstance(linear, Linear)
-            constraint.check_price(model)
-            for key in linear.terms:
-                try:
-                    linear.term(stage, key)
-                except QuantityError as error:
-                    missing["constraints", name, "terms", key] = problem.explain(error)
-            if not missing:
+    with document.faults:
+        with document.located("controller"):
+            model = bare.declare(stages=1)
+        stage: Any = PhysicalStage(model)
+        for name, constraint in constraints.items():
+            with document.faults, document.located("constraints", name):
+                linear = constraint.state
+                assert isinstance(linear, Linear)
+                constraint.check_price(model)
+                raise_all(_errors_of_terms(linear, stage, problem))
                 linear(stage)
-        unpublished |= missing
-    for where, fault in sorted(unpublished.items(), key=lambda item: isinstance(item[1], IncompatibleError)):
-        with document.located(*where):
-            raise fault
+
+
+def _errors_of_terms(linear: Linear, stage: Any, problem: MultiStage) -> Iterator[ModelError]:
+    for key in linear.terms:
+        try:
+            linear.term(stage, key)
+        except QuantityError as error:
+            explained = problem.explain(error)
+            explained.key = ("terms", key)
+            yield explained

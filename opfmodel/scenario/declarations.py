@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import MISSING
 from typing import Any
 
 from opfmodel import plugins
 from opfmodel.errors import (
     CaseError,
     ComponentError,
+    Fault,
     NetworkError,
+    OpfmodelError,
     PluginError,
     ProfileError,
+    ScenarioError,
     name_fault,
     nearest,
     shown,
@@ -25,19 +29,30 @@ from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network, name_pattern
-from opfmodel.scenario.document import Document
+from opfmodel.scenario.document import Document, Key, colon_hint
 
 __all__ = ["Declarations", "component_kinds"]
 
 
 class Declarations:
-    """Builder of the network of a scenario from its ``network`` section."""
+    """Builder of the network of a scenario from its ``network`` section.
+
+    Every fault is collected. A component with a fault is in the network with stand-ins for its values,
+    so that what refers to it by name can be checked.
+
+    Attributes
+    ----------
+    complete
+        Whether the network has a component for every name that is meant to be declared.
+    """
 
     _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
 
     def __init__(self, document: Document, section: dict[str, Any]) -> None:
         self.document = document
         self.section = section
+        self.faults = document.faults
+        self.complete = not self.faults.broken("network")
         kinds, self.broken = component_kinds()
         self.kinds = {kind.plural: kind for kind in kinds}
 
@@ -47,7 +62,9 @@ class Declarations:
         for key in self.section:
             if key not in known:
                 broken = "".join(f"; {reason}" for reason in self.broken)
-                raise self.document.error(("network", key), f"unknown key; {nearest(key, known)}{broken}")
+                hint = colon_hint(key) or f"; {nearest(key, known)}{broken}"
+                self._refuse((key,), f"unknown key{hint}")
+                self.complete = False
         network = self._start(name)
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
@@ -56,10 +73,12 @@ class Declarations:
             self._update(network, component, fields)
         removed = self.section.get("remove") or []
         if not isinstance(removed, list):
-            raise self.document.error(("network", "remove"), "must be a list of component names")
-        for number, component in enumerate(removed):
-            with self.document.located("network", "remove", number):
-                network.remove(str(component))
+            self._refuse(("remove",), f"{shown(removed)}: must be a list of component names")
+            removed = []
+        for number, component in enumerate(map(str, removed)):
+            if component in network or self.complete:
+                with self.faults, self.document.located("network", "remove", number):
+                    network.remove(component)
         return network
 
     def check(self, network: Network) -> None:
@@ -67,34 +86,67 @@ class Declarations:
         try:
             per_unit(network)
         except ComponentError as error:
-            for section in (*self.kinds, "update"):
-                for name, _ in self._members(section):
-                    if name_pattern(name).fullmatch(error.component):
-                        key = ("network", section, name, error.field)
-                        raise self.document.error(key, f"{shown(error.value)}: {error.rule}") from error
-            raise
+            if not self.complete:
+                return
+            for each in (error, *error.others):
+                assert isinstance(each, ComponentError)
+                key, fault = self._key(each.component), f"{shown(each.value)}: {each.rule}"
+                self.faults.add(self.document.fault((*key, each.field), fault, each))
+                self._stand_in(network, each.component, type(network[each.component]))
+            with suppress(ComponentError):
+                per_unit(network)
+                return
+            self.complete = False
+        except NetworkError as error:
+            if not self.faults.broken("network"):
+                self._refuse((), str(error), error)
+            self.complete = False
+
+    def _key(self, component: str) -> Key:
+        """Return the path of keys to what declares a component; to the file, if that does."""
+        for section in (*self.kinds, "update"):
+            members = self.section.get(section)
+            for name in members if isinstance(members, dict) else ():
+                if name_pattern(name).fullmatch(component):
+                    return ("network", section, name)
+        return ("network", "file")
+
+    def _refuse(self, key: Key, message: str, cause: Exception | None = None) -> None:
+        """Collect a fault in the section."""
+        self.faults.add(self.document.fault(("network", *key), message, cause))
 
     def _start(self, name: str) -> Network:
-        file, base_mva = self.section.get("file"), self.section.get("base_mva")
-        if file is None:
-            named = self.section.get("name", name)
-            if not isinstance(named, str) or name_fault(named):
-                raise self.document.error(
-                    ("network", "name"), f"{shown(named)}: must be text of visible characters"
-                )
-            with self.document.located("network", "base_mva"):
-                return Network(named, 100.0 if base_mva is None else base_mva)
+        """Return the network of the file or an empty one, which also stands in if there is a fault."""
+        network = Network()
+        with self.faults:
+            network = self._read() if self.section.get("file") is not None else self._empty(name)
+        self.complete &= not any(
+            self.faults.broken("network", key) for key in ("file", "default_cost", "lossy")
+        )
+        return network
+
+    def _empty(self, name: str) -> Network:
+        named, base_mva = self.section.get("name", name), self.section.get("base_mva")
+        if not isinstance(named, str) or name_fault(named):
+            self._refuse(("name",), f"{shown(named)}: must be text of visible characters")
+            named = name
+        with self.document.located("network", "base_mva"):
+            return Network(named, 100.0 if base_mva is None else base_mva)
+
+    def _read(self) -> Network:
+        file, price = self.section.get("file"), self.section.get("default_cost")
+        lossy = self.section.get("lossy", False)
+        if self.section.get("base_mva") is not None:
+            self._refuse(("base_mva",), "cannot be combined with file, which sets it")
+        if price is not None and not is_number(price):
+            self._refuse(("default_cost",), f"{shown(price)}: must be a number in $/MWh")
+            price = None
+        if not isinstance(lossy, bool):
+            self._refuse(("lossy",), f"{shown(lossy)}: must be true or false")
+            lossy = True
         if not isinstance(file, str):
             raise self.document.error(("network", "file"), "must be a path relative to this file")
-        if base_mva is not None:
-            raise self.document.error(("network", "base_mva"), "cannot be combined with file, which sets it")
-        price = self.section.get("default_cost")
-        if price is not None and not is_number(price):
-            raise self.document.error(("network", "default_cost"), f"{price!r}: must be a number in $/MWh")
-        lossy = self.section.get("lossy", False)
-        if not isinstance(lossy, bool):
-            raise self.document.error(("network", "lossy"), f"{shown(lossy)}: must be true or false")
-        with self.document.located("network", "file"):
+        with self.document.located("network", "file"), self.document.warned("network", "file"):
             return read_network(
                 self.document.path.parent / file,
                 default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
@@ -104,52 +156,83 @@ class Declarations:
     def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:
         members = self.section.get(section) or {}
         if not isinstance(members, dict):
-            raise self.document.error(("network", section), "must be a mapping from names to fields")
+            hint = colon_hint(members)
+            self._refuse((section,), f"{shown(members)}: must be a mapping from names to fields{hint}")
+            self.complete &= section == "update"
+            return
         for name, fields in members.items():
-            if not isinstance(fields, dict):
-                raise self.document.error(
-                    ("network", section, name), "must be a mapping from fields to values"
-                )
-            yield name, fields
+            if isinstance(fields, dict):
+                yield name, fields
+                continue
+            hint = colon_hint(fields)
+            self._refuse((section, name), f"{shown(fields)}: must be a mapping from fields to values{hint}")
+            if section != "update":
+                yield name, {}
 
-    def _declare(self, network: Network, kind: type[Component], name: str, fields: dict[str, Any]) -> None:
+    def _declare(self, network: Network, kind: type[Component], pattern: str, fields: dict[str, Any]) -> None:
         """Declare one component, or one per bus if name and bus contain a star."""
-        with self._fields(kind.plural, name):
-            if str(fields.get("bus")) != "*":
-                network.add(name, kind.from_mapping(name, self._shares(kind, name, fields)))
-                return
-            if name.count("*") != 1:
-                raise ComponentError(
-                    name, "bus", "*", "for one per bus, the name must contain one * as well, such as 'cell*'"
-                )
-            for bus in network.of(Bus):
-                member = name.replace("*", bus)
-                network.add(
-                    member, kind.from_mapping(member, self._shares(kind, name, {**fields, "bus": bus}))
-                )
+        for name, values in self._expanded(network, kind, pattern, fields):
+            if not self.faults.broken("network", kind.plural, pattern):
+                with self.faults, self._fields(kind.plural, pattern):
+                    network.add(name, kind.from_mapping(name, self._shares(kind, pattern, values)))
+            if name not in network:
+                self._stand_in(network, name, kind)
 
-    def _update(self, network: Network, name: str, fields: dict[str, Any]) -> None:
+    def _expanded(
+        self, network: Network, kind: type[Component], pattern: str, fields: dict[str, Any]
+    ) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield names and fields of the components for which a declaration stands."""
+        if str(fields.get("bus")) != "*":
+            yield pattern, fields
+            return
+        if pattern.count("*") == 1:
+            for bus in network.of(Bus):
+                yield pattern.replace("*", bus), {**fields, "bus": bus}
+            return
+        rule = "for one per bus, the name must contain one * as well, such as 'cell*'"
+        with self.faults, self._fields(kind.plural, pattern):
+            raise ComponentError(pattern, "bus", "*", rule)
+        self.complete = False
+
+    def _stand_in(self, network: Network, name: str, kind: type[Component]) -> None:
+        """Put a valid component in place of one with a fault; its values have no meaning."""
+        try:
+            made = kind(**_stand_ins(kind, list(network.of(Bus))))
+            if name in network:
+                network.remove(name)
+            network.add(name, made)
+        except (ComponentError, NetworkError, TypeError):  # of a device of another package, or without a bus
+            self.complete = False
+
+    def _update(self, network: Network, pattern: str, fields: dict[str, Any]) -> None:
         """Change fields of every component whose name matches a pattern."""
-        matching = _matching(network, name)
-        if not matching:
-            fault = "no component matches" if "*" in name else "no such component"
-            raise self.document.error(("network", "update", name), f"{fault}; {nearest(name, network)}")
+        matching = _matching(network, pattern)
+        if not matching and self.complete:
+            fault = "no component matches" if "*" in pattern else "no such component"
+            self._refuse(("update", pattern), f"{fault}; {nearest(pattern, network)}")
         for member in matching:
             old = network[member]
             plain = {k: getattr(old, k) for k in old.fields()}
-            with self._fields("update", name):
+            if self.faults.broken(*self._key(member)):
+                continue  # a stand-in
+            with self.faults, self._fields("update", pattern):
                 network.update(member, **self._shares(type(old), member, fields, plain))
 
     @contextmanager
     def _fields(self, section: str, name: str) -> Iterator[None]:
+        """Add the position of the fields of a component to errors raised inside the block."""
         try:
             yield
-        except ComponentError as error:
-            key = ("network", section, name, error.field)
-            value = "" if error.value is None else f"{shown(error.value)}: "
-            raise self.document.error(key, f"{value}{error.rule}") from error
-        except (NetworkError, CaseError) as error:
-            raise self.document.error(("network", section, name), str(error)) from error
+        except (ComponentError, NetworkError, CaseError) as error:
+            raise ScenarioError(
+                *(self._of_field(section, name, each) for each in (error, *error.others))
+            ) from error
+
+    def _of_field(self, section: str, name: str, error: OpfmodelError) -> Fault:
+        if not isinstance(error, ComponentError):
+            return self.document.fault(("network", section, name), str(error), error)
+        value = "" if error.value is None else f"{shown(error.value)}: "
+        return self.document.fault(("network", section, name, error.field), f"{value}{error.rule}", error)
 
     @staticmethod
     def _shares(
@@ -180,6 +263,18 @@ def _share(component: Component, name: str, key: str, match: re.Match[str]) -> f
         rule = f"is {number:g}; must be a finite number of at most {LARGEST:g}"
         raise ComponentError(name, key, match[0], rule)
     return number
+
+
+def _stand_ins(kind: type[Component], buses: list[str]) -> dict[str, Any]:
+    """Return values for the fields of a component that are required."""
+    values: Mapping[str, Any] = {"number": 1.0, "span": (0.0, 1.0), "flag": True}
+    required = {key: item for key, item in kind.fields().items() if item.default is MISSING}
+    own = iter(buses)  # each end of a branch has another bus
+    return {
+        key: next(own, "") if item.metadata["form"] == "bus" else values[item.metadata["form"]]
+        for key, item in required.items()
+        if item.metadata["form"] == "bus" or item.metadata["form"] in values
+    }
 
 
 def _matching(network: Network, name: str) -> list[str]:

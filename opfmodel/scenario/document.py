@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,10 +19,8 @@ from opfmodel.data.syntax import SPACELESS
 from opfmodel.data.yaml import Place, parse
 from opfmodel.errors import (
     CaseWarning,
-    ConstraintError,
     Fault,
     OpfmodelError,
-    PluginError,
     ProfileWarning,
     ScenarioError,
     close,
@@ -33,7 +31,7 @@ from opfmodel.errors import (
 from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
-__all__ = ["Document", "check_name", "check_printable", "colon_hint", "read_document", "validated"]
+__all__ = ["Document", "Key", "check_name", "check_printable", "colon_hint", "read_document", "validated"]
 
 Key = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
@@ -52,13 +50,14 @@ class Document:
     content
         Dictionaries, lists, strings, numbers, booleans and None.
     faults
-        Faults of the YAML that leave the rest readable, such as a duplicate key.
+        Faults found so far, at first those of the YAML that leave the rest readable, such as a duplicate
+        key. A part that does not depend on others is read in a block ``with document.faults:``.
     """
 
     path: Path
     content: Any
     place: Place
-    faults: tuple[Fault, ...] = ()
+    faults: Faults = field(default_factory=Faults, compare=False)
 
     @property
     def is_study(self) -> bool:
@@ -81,10 +80,11 @@ class Document:
             yield
         except ScenarioError:
             raise
-        except (PluginError, ConstraintError) as error:
-            raise self.error((*key, *error.key), str(error), error) from error
         except (OpfmodelError, SolverError) as error:
-            raise self.error(key, str(error), error) from error
+            each = (error, *error.others) if isinstance(error, OpfmodelError) else (error,)
+            raise ScenarioError(
+                *(self.fault((*key, *getattr(e, "key", ())), str(e), e) for e in each)
+            ) from error
 
     @contextmanager
     def warned(self, *key: str | int) -> Iterator[None]:
@@ -92,13 +92,17 @@ class Document:
         with warnings.catch_warnings():
             shown = warnings.showwarning
 
-            def show(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+            def show(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
                 if issubclass(category, CaseWarning | ProfileWarning):
                     message = category(str(self.fault(key, str(message))))
-                shown(message, category, *rest)
+                shown(message, category, *rest, **more)
 
             warnings.showwarning = show
             yield
+
+    def collecting(self) -> Document:
+        """Return the document with a collector of its own, for one reading."""
+        return replace(self, faults=Faults(self.faults))
 
     def over(self, key: Key) -> Document:
         """Return the document with root positions overridden by those of the mapping at ``key``."""
@@ -120,7 +124,12 @@ def check_printable(document: Document, key: Key, name: str) -> None:
 
 
 def check_name(document: Document, key: Key, name: str) -> None:
-    """Raise :class:`ScenarioError` for a name that cannot name a results folder."""
+    """Collect the fault of a name that cannot name a results folder."""
+    with document.faults:
+        _check_name(document, key, name)
+
+
+def _check_name(document: Document, key: Key, name: str) -> None:
     check_printable(document, key, name)
     if not name.strip(". ") or set(name) & set("/\\\0"):
         raise document.error(
@@ -144,10 +153,10 @@ def read_document(path: str | Path) -> Document:
     path, faults = Path(path), Faults()
     text = read_text(path, ScenarioError, _MOST_BYTES)
     content, place = parse(text, Source(str(path), text), faults)
-    return Document(path, content, place, tuple(faults))
+    return Document(path, content, place, faults)
 
 
-def validated(document: Document, content: Any, model: type[Model], faults: Faults) -> Model:
+def validated(document: Document, content: Any, model: type[Model]) -> Model:
     """Validate the content of a document, with overrides applied, against a schema.
 
     Faults are collected; what is invalid has its default in the result.
@@ -157,6 +166,7 @@ def validated(document: Document, content: Any, model: type[Model], faults: Faul
     ScenarioError
         So much is invalid that there is no result.
     """
+    faults = document.faults
     for _ in range(_MOST_ROUNDS):
         try:
             return model.model_validate(content)

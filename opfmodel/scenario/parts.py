@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from opfmodel import plugins
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError
+from opfmodel.errors import ModelError, ProfileError, raise_all
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
@@ -19,41 +21,99 @@ from opfmodel.network.components import Load
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_finite, check_series
 from opfmodel.objectives.base import Objective, WeightedSum
+from opfmodel.objectives.economic import Economic
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
-from opfmodel.profiles.base import Workbook
+from opfmodel.profiles.base import ProfileRule, Workbook
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
-__all__ = ["make_forecast", "make_objective", "make_plant", "make_profiles", "planned_objective"]
+__all__ = [
+    "Rule",
+    "make_forecast",
+    "make_objective",
+    "make_plant",
+    "make_profiles",
+    "make_rules",
+    "planned_objective",
+]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A profile rule of a file, with its path of keys."""
+
+    key: tuple[str | int, ...]
+    rule: ProfileRule
+
+
+def make_rules(document: Document, settings: ScenarioFile) -> list[Rule]:
+    """Create the profile rules, without those that have a fault."""
+    rules = []
+    for number, spec in enumerate(settings.profiles):
+        key = ("profiles", number)
+        if document.faults.broken(*key):
+            continue
+        with document.faults:
+            name, options = _single(document, key, spec)
+            with document.located(*key, name):
+                rules.append(Rule((*key, name), plugins.make("profile", name, options)))
+    return rules
 
 
 def make_profiles(
-    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
+    document: Document,
+    settings: ScenarioFile,
+    network: Network,
+    calendar: Calendar | None,
+    rules: Iterable[Rule],
 ) -> Profiles:
     """Build the time series by applying the profile rules of the file to those attached to the network.
+
+    If there is a fault in the network, in a rule or in the length of the series, the rules behind it are
+    applied in order to check the names in them; errors in values would only follow from that fault.
 
     Parameters
     ----------
     calendar
         Time stamps of the steps; None if the steps are only numbered.
     """
-    _check_size(document, settings, network)
+    faults = document.faults
+    sections = ("network", "time", "controller", "profiles")
+    with faults:
+        _check_size(document, settings, network)
     book = Workbook(network, settings.length, settings.time.step, document.path.parent)
-    book.series |= _attached(document, settings, network, calendar)
-    for number, spec in enumerate(settings.profiles):
-        key = ("profiles", number)
-        name, options = _single(document, key, spec)
-        before = dict(book.series)
-        with document.located(*key, name), _sourced(book):
-            plugins.make("profile", name, options).apply(book)
+    if not faults.broken("time"):
+        with faults:
+            book.series |= _attached(document, settings, network, calendar)
+    for each in rules:
+        sound = not any(map(faults.broken, sections))
+        with faults, document.located(*each.key), _sourced(book), _checked(sound), document.warned(*each.key):
+            before = dict(book.series)
+            each.rule.apply(book)
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
             check_finite(Profiles(changed), network)
-    with document.located("profiles"), _sourced(book):
+    if any(map(faults.broken, sections)):
+        return Profiles()
+    with faults, document.located("profiles"), _sourced(book):
         made = Profiles(book.series, calendar)
         check_series(made, network)
         return made
+    return Profiles()
+
+
+@contextmanager
+def _checked(sound: bool) -> Iterator[None]:
+    """Drop what follows from an earlier fault: errors about values, and warnings."""
+    with warnings.catch_warnings():
+        if not sound:
+            warnings.simplefilter("ignore")
+        try:
+            yield
+        except ProfileError as error:
+            if sound or error.series is None:
+                raise
 
 
 def _attached(
@@ -88,7 +148,8 @@ def _sourced(book: Workbook) -> Iterator[None]:
     try:
         yield
     except ProfileError as error:
-        raise ProfileError(f"{book.source(error)}{error}") from error
+        every = [each for each in (error, *error.others) if isinstance(each, ProfileError)]
+        raise_all(ProfileError(f"{book.source(e)}{e}", e.series, e.step) for e in every)
 
 
 def make_objective(
@@ -97,7 +158,7 @@ def make_objective(
     spec: Spec,
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
 ) -> Objective:
-    """Create an objective, or the weighted sum of several.
+    """Create an objective, or the weighted sum of several; the default in place of one with a fault.
 
     Parameters
     ----------
@@ -106,34 +167,39 @@ def make_objective(
     convert
         Converters from values of the file to objects, by type; see :func:`opfmodel.plugins.make`.
     """
+    made: Objective = Economic()
+    if document.faults.broken(*key):
+        return made
     if not isinstance(spec, list):
-        name, options = _single(document, key, spec)
-        with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
-            made = plugins.make("objective", name, options, convert)
-            assert isinstance(made, Objective)
-            return made
+        with document.faults:
+            name, options = _single(document, key, spec)
+            with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
+                made = plugins.make("objective", name, options, convert)
+        return made
     parts: list[tuple[float, Objective]] = []
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        with document.located(*key, number, "weight"):
-            weight = number_within("weight", weight, at_least=0)
-        parts.append((weight, make_objective(document, (*key, number), rest, convert)))
-    if not parts:
-        raise document.error(key, "needs at least one objective")
-    return WeightedSum(parts)
+        made = make_objective(document, (*key, number), rest, convert)
+        with document.faults, document.located(*key, number, "weight"):
+            parts.append((number_within("weight", weight, at_least=0), made))
+    if not spec:
+        document.faults.add(document.fault(key, "needs at least one objective"))
+    return WeightedSum(parts) if parts else made
 
 
-def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
-    """Create the controller's forecast of the series."""
-    name, options = _single(document, ("forecast",), settings.forecast)
-    key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
-    with document.located(*key):
-        made = plugins.make(
-            "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
-        )
-        assert isinstance(made, Forecast)
-        return made
+def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None:
+    """Create the controller's forecast of the series; None if there is a fault."""
+    if document.faults.broken("forecast"):
+        return None
+    with document.faults:
+        name, options = _single(document, ("forecast",), settings.forecast)
+        with document.located("forecast", *((name,) if isinstance(settings.forecast, dict) else ())):
+            made: Forecast = plugins.make(
+                "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
+            )
+            return made
+    return None
 
 
 def make_plant(settings: ScenarioFile) -> Plant:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.setpoint_tracking import Setpoints
@@ -23,20 +25,28 @@ def rehearse(scenario: Scenario) -> None:
     Raises
     ------
     ScenarioError
-        A run would be refused; the message gives the position of the part that cannot be used.
+        A run would be refused; the message gives the position of every part that cannot be used.
     """
-    document, settings = scenario.document, scenario.settings
+    scenario = replace(scenario, document=scenario.document.collecting())
+    document, faults = scenario.document, scenario.document.faults
     objective = planned_objective(
-        document, settings, scenario.network, scenario.cost, lambda: _stand_in(scenario.problem.arrays)
+        document,
+        scenario.settings,
+        scenario.network,
+        scenario.cost,
+        lambda: _stand_in(scenario.problem.arrays),
     )
     problem = scenario.problem.variant(elastic=None, objective=objective)
-    with document.located("time", "steps"):
+    with faults, document.located("time", "steps"):
         problem.check_lengths(scenario.steps, scenario.cost)
-    _compile(scenario, problem.variant(elastic=None, horizon=1))
+    with faults:
+        _compile(scenario, problem.variant(elastic=None, horizon=1))
     if scenario.starts_from_single_stage:
-        with document.located("cost"):
+        with faults, document.located("cost"):
             scenario.single_stage().compile()
-    scenario.check_forecast()
+    with faults:
+        scenario.check_forecast()
+    faults.settle()
 
 
 def _compile(scenario: Scenario, problem: MultiStage) -> None:
@@ -46,11 +56,11 @@ def _compile(scenario: Scenario, problem: MultiStage) -> None:
     try:
         problem.compile()
     except SolverError as error:
-        raise document.error(("controller", "solver"), str(error)) from error
+        raise document.error(("controller", "solver"), str(error), error) from error
     except IncompatibleError as error:
-        raise document.error(planned, str(error)) from error
+        raise document.error(planned, str(error), error) from error
     except ModelError as error:
-        raise document.error(("controller",), str(error)) from error
+        raise document.error(("controller",), str(error), error) from error
 
 
 def _stand_in(network: PerUnitNetwork) -> Setpoints:
