@@ -184,7 +184,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("horizon: 48", "horizon: many", ":48:3: controller.horizon: 'many': must be an integer"),
         ("horizon: 48", "horizon: 0", ":48:3: controller.horizon: 0: must be at least 1"),
         ("horizon: 48", "horizon: 4.5", ":48:3: controller.horizon: 4.5: must be an integer"),
-        ("horizon: 48", "generator_delay: 3", ":50:3: not YAML: found duplicate key"),
+        ("horizon: 48", "generator_delay: 3", ":50:3: .*not YAML: found duplicate key .* line 48"),
         ("network:", "netwrk:", r"netwrk: unknown key; did you mean 'network'\?|network: this key is missing"),
         ("ramp: 10% of p_max", "rmap: 5", r":25:53: network.generators.gen1.rmap: 5: unknown field of a generator; did"),
         ("ramp: 10% of p_max", "ramp: 10% of pmax", r":25:53: .*'10% of pmax': a generator has no number 'pmax'"),
@@ -239,7 +239,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("formulation: ac", "regularisation: .inf", ":49:3: controller.regularisation: inf: must be a finite number"),
         ("formulation: ac", "end: {price: .inf}", ":49:9: controller.end.price: inf: must be a finite number"),
         ("formulation: ac", "objective: [{economic: {}, weight: .inf}]", ":49:30: controller.objective.0.weight: weight = inf: must be a finite number"),
-        ("time: {", "time: !!python/object:os.system {", ":36:7: the tag .* is not accepted"),
+        ("time: {", "time: !!python/object:os.system {", ":36:7: time: the tag .* is not accepted"),
         ("  buses:", "  buses: [", "not YAML"),
         ("name: case5-step", "name: a\nname: b", "not YAML: found duplicate key"),
     ],
@@ -249,8 +249,9 @@ def test_errors_are_located(old: str, new: str, message: str, tmp_path: Path) ->
     path = write(tmp_path, CASE5.replace(old, new, 1))
     with pytest.raises(ScenarioError, match=message) as caught:
         om.load_scenario(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    (fault,) = (fault for fault in caught.value.faults if "no such file" not in fault.message)
+    assert str(fault).startswith(str(path))
+    assert str(fault) in str(caught.value).splitlines()
 
 
 def test_a_step_beyond_the_series_is_a_warning(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Mutated scenario files are either accepted or rejected with a one-line error."""
+"""Mutated scenario files are either accepted or rejected with one line for each fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from conftest import DATA
 
 from opfmodel.data.yaml import parse
-from opfmodel.errors import OpfmodelError
+from opfmodel.errors import MOST_FAULTS, Fault, OpfmodelError
 from opfmodel.scenario import load_scenario
 
 SEED = 20261124
@@ -200,8 +200,8 @@ def changed_text(rng: random.Random, text: str) -> str:
 CHANGES = {"values": changed_value, "keys": changed_key, "text": changed_text}
 
 
-def outcome(path: Path, text: str) -> str:
-    """Return the message with which a text is rejected; empty if it is accepted."""
+def outcome(path: Path, text: str) -> tuple[Fault, ...]:
+    """Return the faults for which a text is rejected; none if it is accepted."""
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     try:
         with warnings.catch_warnings():
@@ -210,29 +210,34 @@ def outcome(path: Path, text: str) -> str:
             for variant in scenario.settings.variants:
                 load_scenario(path, variant)
     except OpfmodelError as error:
-        return str(error)
-    return ""
+        return error.faults
+    return ()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_unmodified_scenarios_are_accepted(name: str, folder: Path) -> None:
-    assert outcome(folder / "s.yaml", SCENARIOS[name]) == ""
-    assert outcome(folder / "s.yaml", dumped(parse(SCENARIOS[name], "")[0])) == ""
+    assert outcome(folder / "s.yaml", SCENARIOS[name]) == ()
+    assert outcome(folder / "s.yaml", dumped(parse(SCENARIOS[name], "")[0])) == ()
 
 
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_mutations_are_accepted_or_rejected_in_one_line(name: str, change: str, folder: Path) -> None:
+def test_mutations_are_accepted_or_rejected_fault_by_fault(name: str, change: str, folder: Path) -> None:
     rng = random.Random(f"{SEED} {name} {change}")
     refused = 0
     for number in range(NUMBER):
         text = CHANGES[change](rng, SCENARIOS[name])
         try:
-            message = outcome(folder / "s.yaml", text)
+            faults = outcome(folder / "s.yaml", text)
         except Exception as error:
             raise AssertionError(f"mutation {number}: {type(error).__name__}: {error}\n{text}") from error
-        assert message.splitlines() == [message] * bool(message), (number, message)
-        assert "nput should be" not in message, (number, message)  # the words of a library
-        assert len(message) < 20_000, (number, message[:500])
-        refused += bool(message)
+        for fault in faults:
+            message = str(fault)
+            assert message.splitlines() == [message], (number, message)
+            assert "nput should be" not in message, (number, message)  # the words of a library
+            assert len(message) < 20_000, (number, message[:500])
+            assert len(fault.excerpt.splitlines()) in (0, 2), (number, fault.excerpt)
+            assert fault.excerpt.replace("\n", "").isprintable(), (number, fault.excerpt)
+        assert len(set(faults)) == len(faults) < MOST_FAULTS, (number, faults)
+        refused += bool(faults)
     assert NUMBER / 4 < refused < NUMBER  # some mutations are accepted, many rejected

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING
+from functools import cached_property
 from typing import Any
 
 from opfmodel import plugins
@@ -104,12 +105,21 @@ class Declarations:
 
     def _key(self, component: str) -> Key:
         """Return the path of keys to what declares a component; to the file, if that does."""
+        literal, patterns = self._declared
+        if component in literal:
+            return literal[component]
+        matching = (key for name, key in patterns.items() if name_pattern(name).fullmatch(component))
+        return next(matching, ("network", "file"))
+
+    @cached_property
+    def _declared(self) -> tuple[dict[str, Key], dict[str, Key]]:
+        """Path of keys to every declaration, by name and by pattern."""
+        names: tuple[dict[str, Key], dict[str, Key]] = ({}, {})
         for section in (*self.kinds, "update"):
             members = self.section.get(section)
             for name in members if isinstance(members, dict) else ():
-                if name_pattern(name).fullmatch(component):
-                    return ("network", section, name)
-        return ("network", "file")
+                names["*" in name].setdefault(name, ("network", section, name))
+        return names
 
     def _refuse(self, key: Key, message: str, cause: Exception | None = None) -> None:
         """Collect a fault in the section."""
@@ -126,15 +136,19 @@ class Declarations:
         return network
 
     def _empty(self, name: str) -> Network:
-        named, base_mva = self.section.get("name", name), self.section.get("base_mva")
+        named, base_mva = self.section.get("name", name), self._sound("base_mva")
         if not isinstance(named, str) or name_fault(named):
             self._refuse(("name",), f"{shown(named)}: must be text of visible characters")
             named = name
         with self.document.located("network", "base_mva"):
             return Network(named, 100.0 if base_mva is None else base_mva)
 
+    def _sound(self, key: str) -> Any:
+        """Return a value of the section; None in place of one in which there is a fault."""
+        return None if self.faults.broken("network", key) else self.section.get(key)
+
     def _read(self) -> Network:
-        file, price = self.section.get("file"), self.section.get("default_cost")
+        file, price = self.section.get("file"), self._sound("default_cost")
         lossy = self.section.get("lossy", False)
         if self.section.get("base_mva") is not None:
             self._refuse(("base_mva",), "cannot be combined with file, which sets it")

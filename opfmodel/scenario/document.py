@@ -119,7 +119,8 @@ class Document:
 
 def check_printable(document: Document, key: Key, name: str) -> None:
     """Raise :class:`ScenarioError` for a name with invisible characters."""
-    if fault := name_fault(name):
+    fault = name_fault(name)
+    if fault and not document.faults.broken(*key):
         raise document.error(key, f"{name!r}: the name {fault}")
 
 
