@@ -278,7 +278,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def close(name: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a misspelt name may stand for, the closest first."""
-    return difflib.get_close_matches(name, _similar(name, sorted(known)), n=3, cutoff=0.6)
+    similar = _similar(name, sorted(known))
+    found = difflib.get_close_matches(name, similar, n=3, cutoff=0.6)
+    return found or [other for other in similar if len(name) > 1 and _distance(name, other) == 1][:3]
 
 
 def _similar(name: str, names: list[str]) -> list[str]:
@@ -286,11 +288,13 @@ def _similar(name: str, names: list[str]) -> list[str]:
     if len(names) <= _MOST_COMPARED:
         return names
 
-    def other_letters(known: str) -> int:
-        begin = _shared(name, known)
-        return max(len(name), len(known)) - begin - _shared(name[begin:][::-1], known[begin:][::-1])
+    return nsmallest(_MOST_COMPARED, names, key=lambda other: _distance(name, other))
 
-    return nsmallest(_MOST_COMPARED, names, key=other_letters)
+
+def _distance(one: str, other: str) -> int:
+    """Length of what remains of two texts without the beginning and the end that they share."""
+    begin = _shared(one, other)
+    return max(len(one), len(other)) - begin - _shared(one[begin:][::-1], other[begin:][::-1])
 
 
 def _shared(one: str, other: str) -> int:

@@ -150,7 +150,7 @@ def test_series_from_a_table(tmp_path: Path) -> None:
         ("hour,l.p\n0,1\n0,nan\n0,1\n", "line 3, column 'l.p': 'nan' is not a number"),
         ("hour,g.p\n0,1\n0,1\n0,1\n", "a generator has no number 'p'; it has p_min and p_max"),
         ("hour,g.cost\n0,1\n0,1\n0,1\n", "a generator has no number 'cost'"),
-        ("hour,g.bus\n0,1\n0,1\n0,1\n", "a generator has no number 'bus'"),
+        ("hour,g.bus\n0,1\n0,1\n0,1\n", "the bus of a generator is constant"),
         (
             "hour,g.pmax\n0,1\n0,1\n0,1\n",
             "demand.csv: column 'g.pmax': a generator has .*did you mean 'p_max'",

@@ -8,7 +8,7 @@ import numpy as np
 
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles, SeriesKey
-from opfmodel.errors import ProfileError, nearest
+from opfmodel.errors import ProfileError, nearest, raise_all
 from opfmodel.forecasts.base import Array, Forecast, part
 
 __all__ = ["File"]
@@ -60,10 +60,14 @@ class File(Forecast):
                 f"steps {time} to {time + stages - 1} need {needed}"
             )
         known = part(actual, time, stages)
-        for key in series:
-            if key not in known:
-                near = nearest(str(key), map(str, known))
-                raise ProfileError(f"{self.file}: column '{key}': the profiles have no such series; {near}")
+        raise_all(
+            ProfileError(
+                f"{self.file}: column '{key}': the profiles have no such series; "
+                f"{nearest(str(key), map(str, known))}"
+            )
+            for key in series
+            if key not in known
+        )
         return Profiles(
             {**known, **{key: values[time - issued :][:stages] for key, values in series.items()}}
         )

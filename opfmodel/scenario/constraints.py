@@ -59,11 +59,10 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     known = ("terms", "at_least", "at_most", "equal")
     if not isinstance(values, Mapping):
         raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
-    raise_all(_errors_of_keys(values, known))
-    terms = values["terms"]
     limits: dict[str, float | list[float]] = {}
 
     def errors() -> Iterator[ConstraintError]:
+        yield from _errors_of_keys(values, known)
         for key in known[1:]:
             try:
                 if key in values:
@@ -78,7 +77,7 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
         if len(limits) > 1:
             raise ConstraintError("cannot be combined with at_least or at_most", "equal")
         limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
-    return CustomConstraint.of(name, Linear(terms), **limits)
+    return CustomConstraint.of(name, Linear(values["terms"]), **limits)
 
 
 def _errors_of_keys(values: Mapping[str, Any], known: Sequence[str]) -> Iterator[ConstraintError]:
@@ -140,7 +139,7 @@ def _errors_of_terms(linear: Linear, stage: Any, problem: MultiStage) -> Iterato
     for key in linear.terms:
         try:
             linear.term(stage, key)
-        except QuantityError as error:
-            explained = problem.explain(error)
-            explained.key = ("terms", key)
-            yield explained
+        except ModelError as error:
+            found = problem.explain(error) if isinstance(error, QuantityError) else error
+            found.key = ("terms", key)
+            yield found

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING
 from functools import cached_property
 from typing import Any
 
@@ -93,7 +92,7 @@ class Declarations:
                 assert isinstance(each, ComponentError)
                 key, fault = self._key(each.component), f"{shown(each.value)}: {each.rule}"
                 self.faults.add(self.document.fault((*key, each.field), fault, each))
-                self._stand_in(network, each.component, type(network[each.component]))
+                self._stand_in(network, each.component, type(network[each.component]), {})
             with suppress(ComponentError):
                 per_unit(network)
                 return
@@ -190,7 +189,7 @@ class Declarations:
                 with self.faults, self._fields(kind.plural, pattern):
                     network.add(name, kind.from_mapping(name, self._shares(kind, pattern, values)))
             if name not in network:
-                self._stand_in(network, name, kind)
+                self._stand_in(network, name, kind, values)
 
     def _expanded(
         self, network: Network, kind: type[Component], pattern: str, fields: dict[str, Any]
@@ -208,15 +207,22 @@ class Declarations:
             raise ComponentError(pattern, "bus", "*", rule)
         self.complete = False
 
-    def _stand_in(self, network: Network, name: str, kind: type[Component]) -> None:
-        """Put a valid component in place of one with a fault; its values have no meaning."""
-        try:
-            made = kind(**_stand_ins(kind, list(network.of(Bus))))
-            if name in network:
-                network.remove(name)
-            network.add(name, made)
-        except (ComponentError, NetworkError, TypeError):  # of a device of another package, or without a bus
-            self.complete = False
+    def _stand_in(
+        self, network: Network, name: str, kind: type[Component], fields: Mapping[str, Any]
+    ) -> None:
+        """Put a valid component in place of one with a fault; its values have no meaning.
+
+        It keeps the names of its buses, so that they are checked.
+        """
+        if name in network:
+            network.remove(name)
+        buses = {key: str(fields[key]) for key in kind.bus_fields() if isinstance(fields.get(key), str | int)}
+        plain = _stand_ins(kind, list(network.of(Bus)))
+        for values in ({**plain, **buses}, plain):
+            with suppress(ComponentError, TypeError):  # TypeError: of a device of another package
+                network.add(name, kind(**values))
+                return
+        self.complete = False
 
     def _update(self, network: Network, pattern: str, fields: dict[str, Any]) -> None:
         """Change fields of every component whose name matches a pattern."""
@@ -280,15 +286,15 @@ def _share(component: Component, name: str, key: str, match: re.Match[str]) -> f
 
 
 def _stand_ins(kind: type[Component], buses: list[str]) -> dict[str, Any]:
-    """Return values for the fields of a component that are required."""
-    values: Mapping[str, Any] = {"number": 1.0, "span": (0.0, 1.0), "flag": True}
-    required = {key: item for key, item in kind.fields().items() if item.default is MISSING}
+    """Return finite values for the fields of a component."""
+    values = {"number": 1.0, "span": (0.0, 1.0)}
     own = iter(buses)  # each end of a branch has another bus
-    return {
-        key: next(own, "") if item.metadata["form"] == "bus" else values[item.metadata["form"]]
-        for key, item in required.items()
-        if item.metadata["form"] == "bus" or item.metadata["form"] in values
-    }
+    made = {}
+    for key, item in kind.fields().items():
+        form = item.metadata["form"]
+        if form in values or form == "bus":
+            made[key] = next(own, "") if form == "bus" else values[form]
+    return made
 
 
 def _matching(network: Network, name: str) -> list[str]:

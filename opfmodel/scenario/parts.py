@@ -13,7 +13,7 @@ from opfmodel import plugins
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError, raise_all
+from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
@@ -148,8 +148,10 @@ def _sourced(book: Workbook) -> Iterator[None]:
     try:
         yield
     except ProfileError as error:
-        every = [each for each in (error, *error.others) if isinstance(each, ProfileError)]
-        raise_all(ProfileError(f"{book.source(e)}{e}", e.series, e.step) for e in every)
+        for each in (error, *error.others):
+            if isinstance(each, ProfileError):
+                each.args = (f"{book.source(each)}{each}",)
+        raise
 
 
 def make_objective(
