@@ -10,6 +10,7 @@ from .network import (
     Polynomial as Polynomial,
     Shunt as Shunt,
     Storage as Storage,
+    from_pandapower as from_pandapower,
     from_pypsa as from_pypsa,
     read_network as read_network,
     write_network as write_network,

@@ -20,6 +20,7 @@ import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import shown_in
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, ResultError
 from opfmodel.network.component import Component
@@ -48,7 +49,10 @@ class Violation:
     value
         Violation in per unit on the network's ``base_mva`` (energies in p.u. h), or in radians.
     component, time
-        Component where it occurs, and time coordinate of the stage.
+        Component where it occurs, and beginning of the stage, h; counted from the first stage of the data
+        if these have time stamps.
+    moment
+        Beginning of the stage as text: ``hour 3``, or a local time.
     physical, unit
         Violation in MW, MVAr, MVA, MWh, degrees or, for voltages, p.u.
     relative
@@ -59,6 +63,7 @@ class Violation:
     value: float
     component: str
     time: float
+    moment: str
     physical: float
     unit: str
     relative: float
@@ -84,12 +89,14 @@ class Report:
         violation, and so is power without a source (``p_shortage`` and the like), without which the
         balance does not hold.
     cost
-        Recomputed operating cost over all stages, $.
+        Recomputed operating cost over all stages, in the currency of the network.
     unchecked
         Items that could not be verified because a formulation or device is from another package.
     simultaneous
         Maximum power, p.u., at which a storage with losses charges and discharges simultaneously.
         This is not a violation but shows that the storage model is not tight.
+    currency
+        Name of the currency of the network.
     """
 
     violations: dict[str, Violation] = field(default_factory=dict)
@@ -97,6 +104,7 @@ class Report:
     cost: float = 0.0
     simultaneous: float = 0.0
     unchecked: tuple[str, ...] = ()
+    currency: str = "$"
 
     @property
     def max_violation(self) -> float:
@@ -111,19 +119,25 @@ class Report:
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Nonzero violations by family, as plain data in physical units."""
         return {
-            v.family: {"value": v.physical, "unit": v.unit, "component": v.component, "time": v.time}
+            v.family: {
+                "value": v.physical,
+                "unit": v.unit,
+                "component": v.component,
+                "time": v.time,
+                "moment": v.moment,
+            }
             for v in self.violations.values()
             if v.value > 0
         }
 
     def __str__(self) -> str:
         lines = [
-            f"{v.family:<22} {v}  at {v.component}, time {v.time:g}"
+            f"{v.family:<22} {v}  at {v.component}, {v.moment}"
             for family in (self.violations, self.unserved)
             for v in sorted(family.values(), key=lambda v: -v.value)
         ]
         left_out = [f"{'not checked':<22} {what}" for what in self.unchecked]
-        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} $", *left_out])
+        return "\n".join([*lines, f"{'cost':<22} {self.cost:.6f} {self.currency}", *left_out])
 
 
 def check(
@@ -177,12 +191,22 @@ def losses(network: Network, data: xr.Dataset) -> Array:
     return np.asarray((at_from.real + at_to.real).sum(axis=0) * network.base_mva)
 
 
+def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
+    """Hours at which the stages begin, and a function that returns the beginning of one as text."""
+    times = data["time"].values
+    if not np.issubdtype(times.dtype, np.datetime64):
+        hours = np.asarray(times, dtype=float)
+        return hours, lambda stage: f"hour {hours[stage]:g}"
+    zone = str(data["time"].attrs.get("zone", "UTC"))
+    return (times - times[:1]) / np.timedelta64(1, "h"), lambda stage: shown_in(times[stage], zone)
+
+
 class _Trajectories:
     """Trajectories and time series as arrays ``(items, stages)``."""
 
     def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
         self.data = data
-        self.times = np.asarray(data["time"].values, dtype=float)
+        self.times, self.moments = _times(data)
         self.window = slice(first, first + len(self.times))
         self.series = Profiles.of(series)
         self.changing = {key.field for key in self.series}
@@ -292,7 +316,7 @@ class _Checker:
         self.position = {bus: i for i, bus in enumerate(self.buses.names)}
         kinds = dict.fromkeys(type(c) for c in network.of(Component).values() if c.in_service)
         self.others = [kind for kind in kinds if not issubclass(kind, BUILT_IN)]  # from other packages
-        self.report = Report()
+        self.report = Report(currency=network.currency)
 
     def run(self, previous_pg: Mapping[str, float] | None) -> Report:
         """Run all checks."""
@@ -357,8 +381,9 @@ class _Checker:
         power = unit not in ("p.u.", "deg")
         value = math.radians(physical) if unit == "deg" else physical / (self.base if power else 1.0)
         relative = physical / self.scale if power else value
-        component, time = names[row // ends], float(self.trajectories.times[stage])
-        return Violation(family, value, component, time, physical, unit, relative)
+        at = self.trajectories
+        component, time, moment = names[row // ends], float(at.times[stage]), at.moments(stage)
+        return Violation(family, value, component, time, moment, physical, unit, relative)
 
     def inside(self, family: str, items: _Table, values: Array, bounds: Bounds, unit: str) -> None:
         """Check ``low <= values <= high``."""

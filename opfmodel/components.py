@@ -3,7 +3,7 @@
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
-from opfmodel.network.fields import TableField, at_bus, flag, number, span
+from opfmodel.network.fields import TableField, at_bus, flag, in_service, number, span
 from opfmodel.network.network import Network, name_pattern
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "TableField",
     "at_bus",
     "flag",
+    "in_service",
     "name_pattern",
     "number",
     "span",

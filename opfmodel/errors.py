@@ -28,6 +28,7 @@ __all__ = [
     "ScenarioError",
     "SizeError",
     "StudyError",
+    "UnitError",
     "name_fault",
     "nearest",
     "shown",
@@ -258,6 +259,10 @@ class SizeError(OpfmodelError):
 
 class StudyError(OpfmodelError):
     """A study cannot continue: its folder is in use, or its workers are unavailable."""
+
+
+class UnitError(OpfmodelError, ValueError):
+    """A quantity is in another unit than its field; also a ValueError, which pydantic reports."""
 
 
 def raise_all(errors: Iterable[OpfmodelError]) -> None:

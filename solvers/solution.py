@@ -49,6 +49,8 @@ class Solution:
     iterations, seconds
         Effort of the solver; ``seconds`` is the wall-clock time of the solve alone. ``iterations``
         is None where the interface library does not report them.
+    skipped
+        Number of leading stages that values and multipliers by name leave out.
     """
 
     program: Program
@@ -64,6 +66,7 @@ class Solution:
     solver: str
     iterations: int | None
     seconds: float
+    skipped: int = 0
 
     @cached_property
     def objective(self) -> float:
@@ -75,22 +78,37 @@ class Solution:
     def value(self, name: str) -> Array:
         """Values of a variable block or an output, shape ``(items, stages)``."""
         if name in self.program.outputs:
-            return self._outputs[name]
-        return self._block(name, self.program.variables).read(self.x)
+            return self._kept(self._outputs[name])
+        return self.variable(name)
+
+    def variable(self, name: str) -> Array:
+        """Values of a variable block, shape ``(items, stages)``."""
+        return self._kept(self._block(name, self.program.variables).read(self.x))
 
     def dual(self, name: str) -> Array:
         """Multipliers of a row block, shape ``(items, stages)``."""
-        return self._block(name, self.program.rows).read(self.lam_g)
+        return self._kept(self._block(name, self.program.rows).read(self.lam_g))
 
     def bound_dual(self, name: str) -> Array:
         """Multipliers of a variable block's bounds, shape ``(items, stages)``."""
-        return self._block(name, self.program.variables).read(self.lam_x)
+        return self._kept(self._block(name, self.program.variables).read(self.lam_x))
 
     def cone_dual(self, name: str) -> Array:
         """Multipliers of a cone block, shape ``(dimension, items, stages)``."""
+        return self._kept(self._cone(name).read(self.z))
+
+    def cone(self, name: str) -> Array:
+        """Values of a cone block, shape ``(dimension, items, stages)``."""
+        return self._kept(self._cone(name).read(self.cones))
+
+    def _kept(self, values: Array) -> Array:
+        """Values without the stages that are left out; blocks of a single stage are unchanged."""
+        return values[..., self.skipped :] if values.shape[-1] > 1 else values
+
+    def _cone(self, name: str) -> Cone:
         if name not in self.program.cones:
             raise ProgramError(f"unknown cone block {name!r}")
-        return self.program.cones[name].read(self.z)
+        return self.program.cones[name]
 
     @cached_property
     def _outputs(self) -> dict[str, Array]:

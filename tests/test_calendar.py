@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import opfmodel as om
+from opfmodel.check import check
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, ScenarioError
+from opfmodel.results import load, save
+from opfmodel.results.figures import FIGURES
 from opfmodel.scenario import declarations
 
 BERLIN = Calendar(np.datetime64("2025-03-28T23:00"), 0.25, "Europe/Berlin")
@@ -168,3 +172,64 @@ def test_a_time_that_does_not_fit_the_series_of_the_network_is_refused(
     del stamped_case
     with pytest.raises(ScenarioError, match=words):
         scenario(tmp_path, f"{STAMPED}time: {time}")
+
+
+# Results --------------------------------------------------------------------------------------------
+
+
+def test_results_have_times_in_utc_and_the_zone(tmp_path: Path) -> None:
+    problem = om.MultiStage(with_series(), 3, formulation="dc")
+    expected = np.datetime64("2025-03-28T23:15") + np.arange(3) * np.timedelta64(15, "m")
+    data = problem.solve(1).data
+    assert data["time"].dtype == "datetime64[ns]"
+    assert (data["time"].values == expected).all()
+    assert data["time"].attrs["zone"] == "Europe/Berlin"
+    run = om.simulate(problem, steps=3)
+    assert (run.data["time"].values == expected - np.timedelta64(15, "m")).all()
+    singles = om.single_stage_sequence(problem, 3, start=1)
+    assert (singles.data["time"].values == expected).all()
+    assert singles.data["time"].attrs == data["time"].attrs
+    save(run.data, run.summary(), tmp_path)
+    loaded = load(tmp_path)
+    xr.testing.assert_equal(loaded, run.data)
+    assert loaded["time"].dtype == "datetime64[ns]"
+    assert loaded["time"].attrs["zone"] == "Europe/Berlin"
+    report = check(problem.network, loaded, problem.profiles)
+    assert report.max_violation < 1e-5
+
+
+def test_results_without_stamps_have_hours() -> None:
+    data = om.MultiStage(one_bus(), 2, 0.5, formulation="dc", profiles={"town.p": [1.0, 2, 3]}).solve(1).data
+    assert data["time"].values.tolist() == [0.5, 1.0]
+    assert data["time"].attrs["units"] == "h"
+
+
+def test_violations_and_shortages_are_dated() -> None:
+    grid = with_series(**{"town.p": [10.0, 20, 130, 40]})
+    problem = om.MultiStage(grid, 4, formulation="dc")
+    (shortage,) = problem.elastic_twin().solve().shortages
+    assert "2025-03-29 00:30 CET" in str(shortage)
+    run = om.simulate(om.MultiStage(grid, 2, formulation="dc"), steps=3)
+    assert "step 1 (2025-03-29 00:15 CET)" in run.termination
+    data = om.MultiStage(with_series(), 4, formulation="dc").solve().data
+    data["pg"][2] = 111.0
+    worst = check(problem.network, data, with_series().profiles).worst
+    assert worst is not None
+    assert (worst.time, worst.moment) == (0.5, "2025-03-29 00:30 CET")
+
+
+def test_figures_have_dates_in_the_zone() -> None:
+    start = Calendar(np.datetime64("2025-03-29T23:00"), 1.0, "Europe/Berlin")  # midnight in Berlin
+    grid = one_bus()
+    grid.attach(Profiles({"town.p": np.full(23, 20.0)}, start))
+    data = om.MultiStage(grid, 23, formulation="dc").solve().data
+    for figure in FIGURES.values():
+        drawn = figure(data)
+        drawn.draw_without_rendering()
+        axis = drawn.axes[-1]
+        assert axis.get_xlabel() == "time [Europe/Berlin]"
+        assert (
+            "30-Mar" in axis.get_xticklabels()[0].get_text()
+            or "Mar-30" in axis.get_xticklabels()[0].get_text()
+        )
+        assert "02:00" not in [label.get_text() for label in axis.get_xticklabels()]  # does not exist

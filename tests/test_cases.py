@@ -272,10 +272,10 @@ def test_what_is_lost_is_an_error_unless_it_is_accepted(tmp_path: Path) -> None:
     assert contents(network) == contents(om.read_network(DATA / "matpower" / "case5.m"))
 
 
-def test_diagnostics_of_the_reader_are_warnings(tmp_path: Path) -> None:
+def test_statements_that_are_not_evaluated_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "program.m"
     path.write_text(case5() + "\nmpc.bus(:, 3) = 2 * mpc.bus(:, 3);\n")
-    with pytest.warns(CaseWarning, match=r"program\.m:64: 'mpc\.bus\(:, 3\) = .*' is not evaluated"):
+    with pytest.raises(CaseError, match=r"program\.m: .*line 64: 'mpc\.bus\(:, 3\) = .*' is not evaluated"):
         om.read_network(path)
 
 

@@ -293,3 +293,23 @@ def test_a_rating_may_be_infinite_for_a_while(formulation: str) -> None:
         price = plan.data["rating_price"].values[:, 0]
         assert price[0] > 1
         assert price[1] == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular"])
+def test_transformers_with_large_phase_shifts_are_solved_from_a_cold_start(formulation: str) -> None:
+    grid = om.Network("shifted", base_mva=25)
+    for name in ("high", "low", "end", "other"):
+        grid.add(name, om.Bus(vm=(0.9, 1.1), reference=name == "high"))
+    grid.first = om.Branch("high", "low", r=0.004, x=0.11, shift=150)
+    grid.second = om.Branch("high", "other", r=0.004, x=0.12, shift=150)
+    grid.tie = om.Branch("low", "other", r=0.02, x=0.03)
+    grid.line = om.Branch("low", "end", r=0.03, x=0.04)
+    grid.supply = om.Generator("high", p=(0, 50), cost=om.Polynomial(0, 10, 0))
+    grid.town = om.Load("end", p=10, q=2)
+    shifted = om.MultiStage(grid, formulation=formulation).solve()
+    for name in ("first", "second"):
+        grid.update(name, shift=0)
+    plain = om.MultiStage(grid, formulation=formulation).solve()
+    assert shifted.objective == pytest.approx(plain.objective, rel=1e-7)
+    angles = [plan.data["va"].sel(bus="end").item() for plan in (shifted, plain)]
+    assert (angles[1] - angles[0]) % 360 == pytest.approx(150, abs=1e-4)

@@ -13,6 +13,7 @@ from conftest import DATA
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
+from opfmodel.network.cases.matpower import COLUMNS, MORE_COLUMNS
 
 CASE5 = (DATA / "matpower" / "case5.m").read_text()
 COST = "2	0	0	2	14	0;"  # of gen1, on line 57
@@ -167,19 +168,67 @@ def test_the_last_of_two_assignments_counts_as_in_matlab(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("statements", "what"),
     [
-        ("mpc.convdc = [1 2];", "mpc.convdc is ignored"),
-        ("mpc.reserves.zones = [1 2];", "mpc.reserves is ignored"),
+        ("mpc.convdc = [1 2];", "mpc.convdc is not represented"),
+        ("mpc.reserves.zones = [1 2];", "mpc.reserves is not represented"),
         ("mpc.bus(:, 3) = 2;", "'mpc.bus(:, 3) = 2' is not evaluated"),
         ("if 1\n  mpc.bus(:, 3) = 2; x = 4;\nend", "'if 1' is not evaluated"),
         ("mpc.gencost = [" + "2 0 0 2 14 0;" * 5 + "2 0 0 2 3 0;" * 5 + "];", "costs of reactive power"),
     ],
 )
-def test_statements_without_effect_are_reported(statements: str, what: str, tmp_path: Path) -> None:
+def test_what_a_case_would_lose_is_refused(statements: str, what: str, tmp_path: Path) -> None:
     path = written(tmp_path, CASE5.split("%%-----  OPF Data")[0] + STORAGE + OTHER_COSTS + "\n" + statements)
     line = path.read_text().count("\n", 0, path.read_text().index(statements)) + 1
-    with pytest.warns(CaseWarning) as caught:
+    with pytest.raises(CaseError) as refused:
         om.read_network(path)
-    assert any(str(w.message).startswith(f"{path}:{line}: ") and what in str(w.message) for w in caught)
+    assert f"line {line}: " in str(refused.value) and what in str(refused.value)
+    with pytest.warns(CaseWarning) as caught:
+        network = om.read_network(path, lossy=True)
+    (lost,) = (str(w.message) for w in caught if str(w.message).startswith(f"{path}: lost: "))
+    assert f"line {line}: " in lost and what in lost
+    assert network.gen1.pg_set == 40
+
+
+def test_text_and_empty_tables_mean_nothing_electrical(tmp_path: Path) -> None:
+    extra = (
+        "mpc.source = 'by hand';\nmpc.notes = {'a', \"b\"; 'c''s'};\nmpc.dcpole = [];\nmpc.areas = [1 1];\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        om.read_network(written(tmp_path, CASE5 + extra))
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "lost"),
+    [
+        ("PC1", "5", True),
+        ("QC2MAX", "-3", True),
+        ("RAMP_AGC", "2", True),
+        ("RAMP_10", "7", True),
+        ("RAMP_10", "Inf", False),
+        ("RAMP_30", "7", False),
+        ("APF", "0.5", False),
+    ],
+)
+@pytest.mark.parametrize("in_service", [True, False])
+def test_columns_of_generators_are_represented_or_refused(
+    column: str, value: str, lost: bool, in_service: bool, tmp_path: Path
+) -> None:
+    more = ["0"] * len(MORE_COLUMNS)
+    more[MORE_COLUMNS.index(column)] = value
+    head, rows = CASE5.split("mpc.gen = [\n")
+    units, rest = rows.split("\n];", 1)
+    lines = [row.rstrip(";").rstrip() for row in units.split("\n")]
+    assert len(lines[0].split()) == len(COLUMNS["gen"]) + len(MORE_COLUMNS)
+    first = lines[1].split()[: len(COLUMNS["gen"])] + more
+    first[COLUMNS["gen"].index("GEN_STATUS")] = str(int(in_service))
+    lines[1] = " ".join(first)
+    path = written(tmp_path, head + "mpc.gen = [\n" + ";\n".join(lines) + "\n];" + rest)
+    if lost and in_service:
+        with pytest.raises(CaseError, match=rf"line 35: gen2: {column} = {value}"):
+            om.read_network(path)
+    else:
+        unit = om.read_network(path).gen2
+        assert unit.ramp == (14 if column == "RAMP_30" else None)
 
 
 def test_evaluated_statements_are_not_reported() -> None:
@@ -218,7 +267,8 @@ def test_data_of_every_kind_out_of_service_are_kept_in_files(tmp_path: Path) -> 
     network = om.read_network(DATA / "matpower" / "case5.m")
     idle = {"in_service": False}
     cost = om.PiecewiseLinear([(0.0, 0.0), (0.0, 5.0)])
-    network.add("gen6", om.Generator("1", p=(math.inf, -1.0), q=(3.0, -3.0), cost=cost, **idle))
+    points = {"pg_set": 7.0, "qg_set": 0.0, "vm_set": 1.0}
+    network.add("gen6", om.Generator("1", p=(math.inf, -1.0), q=(3.0, -3.0), cost=cost, **points, **idle))
     network.add("1-3", om.Branch("1", "3", r=0, x=0, tap=-1, rating=-5, angle=(3, -3), **idle))
     network.add("6", om.Bus(vm=(1.1, 0.9), **idle))
     network.add("storage1", om.Storage("1", energy=5, power=(3, 10), q=(1, -1), initial=99, **idle))
@@ -325,6 +375,7 @@ def expected(case: dict) -> dict:
             om.Branch(*ends, r=r[2], x=r[3], b=r[4], rating=r[5] or None, tap=r[8] or 1.0, shift=r[9], angle=angle,
                       in_service=r[10] != 0),
         )  # fmt: skip
+    load_buses = {b[0] for b in case["mpc.bus"] if b[1] == 1}
     for i, (g, c) in enumerate(zip(case["mpc.gen"], case["mpc.gencost"], strict=False), start=1):
         count = int(c[3])
         assert count == c[3] >= 1, "accepted without a valid number of cost coefficients"
@@ -335,15 +386,18 @@ def expected(case: dict) -> dict:
         else:
             assert c[0] == 2 and len(numbers) == count and not any(numbers[:-3])
             cost = om.Polynomial(*([0.0] * (3 - count) + numbers[-3:]))
-        p, q = (g[9], g[8]), (g[4], g[3])
-        add(f"gen{i}", om.Generator(f"{g[0]:.15g}", p=p, q=q, ramp=ramp, cost=cost, in_service=g[7] > 0))
+        add(
+            f"gen{i}",
+            om.Generator(f"{g[0]:.15g}", p=(g[9], g[8]), q=(g[4], g[3]), ramp=ramp, cost=cost, pg_set=g[1], qg_set=g[2],
+                         vm_set=g[5] or None, regulates=g[0] not in load_buses, in_service=g[7] > 0),
+        )  # fmt: skip
     for s in case.get("mpc.storage", []):
         number = f"{s[0]:.15g}"
         add(
             f"storage{number}",
             om.Storage(number, energy=s[4], power=(-s[6], s[5]), q=(s[10], s[11]), initial=s[3],
                        charge_efficiency=s[7], discharge_efficiency=s[8], rating=s[9] if s[9] > 0 else None,
-                       in_service=s[16] != 0),
+                       ps_set=s[1] or None, qs_set=s[2] or None, in_service=s[16] != 0),
         )  # fmt: skip
     return found
 

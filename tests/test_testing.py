@@ -20,7 +20,7 @@ from opfmodel.formulations.base import Formulation, shunts
 from opfmodel.formulations.copperplate import Copperplate
 from opfmodel.formulations.dc import DC
 from opfmodel.model import Device
-from opfmodel.network import Component, at_bus, flag, number
+from opfmodel.network import Component, at_bus, in_service, number
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import End
@@ -244,8 +244,8 @@ class Furnace(Component):
     plural: ClassVar[str] = "furnaces"
 
     bus: str = at_bus()
-    power: float = number("MW")
-    in_service: bool = flag(True)
+    power: float = number("MW", description="Power.")
+    in_service: bool = in_service()
 
 
 @dataclass

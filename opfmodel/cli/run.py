@@ -49,6 +49,7 @@ def run(
     summary: dict[str, Any] = {
         "scenario": loaded.name,
         **done.summary(),
+        "currency": loaded.network.currency,
         "max_violation": None if report is None else report.max_violation,
         "violations": {} if report is None else report.as_dict(),
         "unchecked": [] if report is None else list(report.unchecked),

@@ -39,7 +39,7 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
     print_pairs(
         {
             "status": solved.status if solved.optimal else f"{solved.status}: {solved.termination}",
-            "objective": f"{solved.objective:,.4f} $" if solved.optimal else "none",
+            "objective": f"{solved.objective:,.4f} {solved.network.currency}" if solved.optimal else "none",
             "formulation": problem.formulation.name,
             "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
             "solver": f"{solution.solver}, {iterations}",
@@ -63,12 +63,13 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
     """
     violation, cost = summary["max_violation"], summary["cost"]
     mean, largest = summary["solve_seconds_mean"], summary["solve_seconds_max"]
+    currency = done.problem.network.currency
     print_notes(done.problem.notes)
     print_pairs(
         {
             "scenario": summary["scenario"],
             "status": "done" if done.status == "done" else f"{done.status}: {done.termination}",
-            "cost": "none" if cost is None else f"{cost:,.2f} $ in {summary['steps']} steps",
+            "cost": "none" if cost is None else f"{cost:,.2f} {currency} in {summary['steps']} steps",
             "solve time": f"{mean:.3f} s mean, {largest:.3f} s maximum",
             "iterations": _mean(summary["iterations_mean"]),
             "max violation": "not checked" if violation is None else f"{violation:.1e} p.u.",
@@ -86,9 +87,9 @@ def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Pa
 
 def comparisons(compared: list[Comparison]) -> None:
     """Print the costs J_e, J_s, J_t and J_b side by side."""
-    from opfmodel.study.comparison import COSTS, rows
+    from opfmodel.study.comparison import COSTS, rows, unit
 
-    print_table(["k$", *COSTS], rows(compared), numbers=True)
+    print_table([unit(compared), *COSTS], rows(compared), numbers=True)
 
 
 def entries(catalogue: list[Entry]) -> None:
@@ -152,7 +153,7 @@ def _exceeded(report: Report) -> dict[str, str]:
     worst = report.worst
     if worst is None or worst.relative <= _TOLERATED:
         return {}
-    return {"worst violation": f"{worst.family} at {worst.component}, hour {worst.time:g}: {worst}"}
+    return {"worst violation": f"{worst.family} at {worst.component}, {worst.moment}: {worst}"}
 
 
 def _measured(summary: Mapping[str, Any]) -> dict[str, str]:

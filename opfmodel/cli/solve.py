@@ -69,6 +69,7 @@ def solve(
                 "status": plan.status,
                 "termination": plan.termination,
                 "objective": plan.objective if plan.optimal else None,
+                "currency": problem.network.currency,
                 "build_seconds": problem.build_seconds,
                 "solve_seconds": plan.solution.seconds,
                 "iterations": plan.solution.iterations,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import ProfileError, shown
 
-__all__ = ["Calendar", "parse_stamp", "shown_in", "zone_of"]
+__all__ = ["Calendar", "Times", "parse_stamp", "shown_in", "zone_of"]
 
 _NANOSECONDS = 3_600_000_000_000  # of an hour
 _YEARS = np.datetime64("1700", "Y"), np.datetime64("2200", "Y")  # nanoseconds in 64 bits end in 2262
@@ -103,6 +104,46 @@ class Calendar:
                 f"{self.shown(steps + 1)} of the time series; it must be one of them"
             )
         return steps
+
+
+@dataclass(frozen=True)
+class Times:
+    """Beginnings of successive stages: hours, or time stamps where there is a calendar.
+
+    Attributes
+    ----------
+    first
+        Step of the first stage.
+    stages
+        Number of stages.
+    step
+        Length of a stage, h.
+    """
+
+    first: int
+    stages: int
+    step: float
+    calendar: Calendar | None = None
+
+    @property
+    def hours(self) -> npt.NDArray[np.float64]:
+        """Hours at which the stages begin, counted from step 0."""
+        return (self.first + np.arange(self.stages, dtype=float)) * self.step
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Beginnings of the stages for messages: ``hour 3``, or local times."""
+        if self.calendar is None:
+            return tuple(f"hour {hour:g}" for hour in self.hours)
+        return tuple(map(self.calendar.shown, range(self.first, self.first + self.stages)))
+
+    def coordinate(self) -> tuple[str, npt.NDArray[Any], dict[str, str]]:
+        """Return the coordinate ``time`` of results: hours, or times in UTC with the zone as an attribute."""
+        about = {"long_name": "start of the stage"}
+        if self.calendar is None:
+            return "time", self.hours, {"units": "h", **about}
+        stamps = self.calendar.stamps(self.stages, self.first)
+        return "time", stamps, {"zone": self.calendar.zone, **about}
 
 
 def parse_stamp(text: str, zone: str) -> np.datetime64:

@@ -62,6 +62,11 @@ class Profiles(Mapping[SeriesKey, Array]):
     calendar
         Time stamps of the steps; None if the steps are only numbered.
 
+    Attributes
+    ----------
+    repeats
+        Whether the series were repeated beyond their end; forecasts from a file then repeat as well.
+
     Raises
     ------
     ProfileError
@@ -78,6 +83,7 @@ class Profiles(Mapping[SeriesKey, Array]):
         self, series: Mapping[Any, npt.ArrayLike] | None = None, calendar: Calendar | None = None
     ) -> None:
         self.calendar = calendar
+        self.repeats = False
         self._series = {
             named: _vector(named, values)
             for named, values in ((SeriesKey.of(key), values) for key, values in (series or {}).items())
@@ -135,6 +141,19 @@ class Profiles(Mapping[SeriesKey, Array]):
             return None
         start = chosen.start or 0
         return self.calendar.later(start) if start >= 0 else None
+
+    def repeated(self, steps: int) -> Profiles:
+        """Return the series, repeated as a whole until they have at least ``steps`` values.
+
+        Examples
+        --------
+        >>> Profiles({"town.p": [1, 2]}).repeated(3)["town.p"].tolist()
+        [1.0, 2.0, 1.0, 2.0]
+        """
+        times = -(-steps // (self.length or steps))
+        made = Profiles({key: np.tile(values, times) for key, values in self.items()}, self.calendar)
+        made.repeats = True
+        return made
 
     def or_else(self, others: Profiles) -> Profiles:
         """Return these series, and those of ``others`` that these lack.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from opfmodel.errors import IncompatibleError
-from opfmodel.model import Device, Model
+from opfmodel.model import BoundSource, Device, Model
 from opfmodel.network.arrays import Array, Index, Table
 from opfmodel.network.components import Storage
 from solvers import Expression, Rows
@@ -85,10 +85,19 @@ class StorageDevice(Device):
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:
         """Split the power of storages with losses into charging and discharging."""
         n, stages, step = split.size, model.stages, model.step
-        most_charge = np.maximum(table.power_max[split], 0.0)
-        most_discharge = np.maximum(-table.power_min[split], 0.0)
+
+        def charging(t: Table) -> Array:
+            return np.asarray(np.maximum(t.power_max[split], 0.0))
+
+        def discharging(t: Table) -> Array:
+            return np.asarray(np.maximum(-t.power_min[split], 0.0))
+
+        most_charge, most_discharge = charging(table), discharging(table)
         charge = model.build.variable("pc", n, stages, 0.0, most_charge)
         discharge = model.build.variable("pdis", n, stages, 0.0, most_discharge)
+        # both follow the time series of the limits
+        model.bounds["pc"] = BoundSource("storage", 0.0, charging)
+        model.bounds["pdis"] = BoundSource("storage", 0.0, discharging)
         model.build.constrain("ps_split", ps[split] - charge + discharge == 0.0)
         gain, drain = table.charge_efficiency[split], 1.0 / table.discharge_efficiency[split]
         model.build.add(-step * (gain * charge - drain * discharge), into=dynamics[split])

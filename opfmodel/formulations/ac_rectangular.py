@@ -44,11 +44,12 @@ class ACRectangular(Formulation):
         start = np.clip(1.0, bus.vm_min, bus.vm_max)
         most = bus.vm_max if model.elastic is None else np.full((len(bus), 1), np.inf)
         vr = model.variable(
-            "bus", "vr", np.where(reference, 0.0, -most), most, unit="p.u.", start=start, publish=False
-        )
+            "bus", "vr", np.where(reference, 0.0, -most), most,
+            unit="p.u.", start=start * np.cos(network.resting_angle), publish=False,
+        )  # fmt: skip
         vi = model.variable(
             "bus", "vi", np.where(reference, 0.0, -most), np.where(reference, 0.0, most),
-            unit="p.u.", start=0.0, publish=False,
+            unit="p.u.", start=start * np.sin(network.resting_angle), publish=False,
         )  # fmt: skip
         w = vr**2 + vi**2
         soft = soft_voltage(model, squared=True)

@@ -67,11 +67,12 @@ class Formulation:
 
 
 def angles(model: Model) -> Expression:
-    """Declare ``va``, zero at the reference bus of every island."""
+    """Declare ``va``, zero at the reference bus of every island; it starts without flow."""
     bus = model.network.bus
     free = np.full(len(bus), np.inf)
     free[model.network.reference] = 0.0
-    return model.variable("bus", "va", -free, free, unit="deg", start=0.0, description="voltage angle")
+    start = model.network.resting_angle
+    return model.variable("bus", "va", -free, free, unit="deg", start=start, description="voltage angle")
 
 
 def resistive(network: PerUnitNetwork) -> list[str]:
@@ -144,11 +145,11 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
                 rating: Array = network.branch.rating[members]
                 rating = np.where(np.isfinite(rating), rating, 0.0)
-                price: Array = np.zeros((members.size, model.stages))
+                price: Array = np.zeros((members.size, 1))
                 for name in ("rating_from", "rating_to"):  # of the square, with what it is exceeded by
                     exceeded = f"{name}_above"
                     by = solution.value(exceeded) if exceeded in model.slacks else 0.0
-                    price += 2.0 * (rating + by) * solution.dual(name)
+                    price = price + 2.0 * (rating + by) * solution.dual(name)
                 return price
 
             price_rating(model, members, read)
@@ -176,8 +177,9 @@ def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnit
     """Report the value of one more MVA of rating; ``read`` returns it for the branches ``members``."""
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
-        price = np.zeros((len(network.branch), model.stages))
-        price[members] = read(solution, network) / model.step
+        limited = read(solution, network) / model.step
+        price = np.zeros((len(network.branch), limited.shape[1]))
+        price[members] = limited
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

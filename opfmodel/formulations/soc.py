@@ -103,7 +103,7 @@ class SOC(Formulation):
         """
         if not len(network.branch):
             return {"largest_cone_slack": 0.0, "largest_angle_mismatch": 0.0}
-        t, *u = solution.program.cones["voltage_products"].read(solution.cones)
+        t, *u = solution.cone("voltage_products")
         slack = np.maximum(t - np.linalg.norm(u, axis=0), 0.0).max()
         angle = np.arctan2(solution.value("wi"), solution.value("wr"))
         return {

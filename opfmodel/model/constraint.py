@@ -90,8 +90,13 @@ class CustomConstraint:
         """Name of the rows, distinct from every quantity of a formulation or device."""
         return f"constraint {self.name}"
 
-    def window(self, start: int, stages: int) -> tuple[Array, Array]:
+    def window(self, start: int, stages: int, repeats: bool = False) -> tuple[Array, Array]:
         """Return the limits of ``stages`` stages from step ``start``.
+
+        Parameters
+        ----------
+        repeats
+            Whether the values begin again after their end.
 
         Raises
         ------
@@ -100,12 +105,15 @@ class CustomConstraint:
         """
         limits = []
         for side, values in (("at_least", self.at_least), ("at_most", self.at_most)):
-            if values.ndim and len(values) < start + stages:
+            if not values.ndim:
+                limits.append(np.full(stages, values))
+                continue
+            if len(values) < start + stages and not repeats:
                 raise ModelError(
                     f"constraint {self.name!r}: {side} has {len(values)} values; "
                     f"steps {start} to {start + stages - 1} need {start + stages}"
                 )
-            limits.append(values[start : start + stages] if values.ndim else np.full(stages, values))
+            limits.append(values[np.arange(start, start + stages) % len(values)])
         return limits[0], limits[1]
 
     def declare(self, model: Model) -> None:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
@@ -90,7 +91,8 @@ class Soft:
     share
         Share of the price that each row bears if several rows state one limit.
     first
-        Stage of the first column of the rows; -1 for values at the ends of stages.
+        Stage of the first column of the rows; -1 for values at the ends of stages, None for rows of the
+        last stage.
     noun
         Word for the components in the sentences; their kind by default.
     names
@@ -107,7 +109,7 @@ class Soft:
     price: Literal["limit", "shedding", "balance"] = "limit"
     squared: bool = False
     share: float = 1.0
-    first: int = 0
+    first: int | None = 0
     noun: str = ""
     names: tuple[str, ...] = ()
     timed: bool = True
@@ -143,9 +145,9 @@ class Slack:
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
-        kept = slice(max(-self.soft.first, 0), None)
-        amounts = amounts[:, kept]
-        first = max(self.soft.first, 0)
+        first = stages - amounts.shape[1] if self.soft.first is None else self.soft.first
+        amounts = amounts[:, max(-first, 0) :][:, : stages - max(first, 0)]
+        first = max(first, 0)
         np.add.at(out[:, first : first + amounts.shape[1]], self.soft.members, amounts)
         return out
 
@@ -164,6 +166,8 @@ class Shortage:
         Amount by stage, in the physical unit.
     hours
         Hour at which each stage begins; empty if the amounts do not belong to stages.
+    moments
+        The same as text, such as ``hour 3`` or a local time.
     step
         Hours per stage.
     cost
@@ -176,6 +180,7 @@ class Shortage:
     side: Side
     amounts: Array
     hours: Array
+    moments: tuple[str, ...]
     step: float
     cost: float
 
@@ -196,7 +201,7 @@ class Shortage:
         if not self.hours.size:
             return text
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
-        text += f" at hour {self.hours[first]:g}"
+        text += f" at {self.moments[first]}"
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
@@ -211,7 +216,7 @@ def shortages(
     network: PerUnitNetwork,
     prices: Elastic,
     step: float,
-    hours: Array,
+    times: Times,
 ) -> tuple[Shortage, ...]:
     """Return the shortfalls of a network, the most expensive first.
 
@@ -219,9 +224,10 @@ def shortages(
     ----------
     solution
         The solution to report.
-    hours
-        Hour at which each stage begins.
+    times
+        Beginnings of the stages.
     """
+    hours = times.hours
     found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
     for slack in slacks:
         soft = slack.soft
@@ -237,11 +243,12 @@ def shortages(
                 join = np.maximum if soft.price == "limit" else np.add
                 found[key] = soft, join(known, spread[item]), join(cost, priced[item])
     made = []
+    moments = times.shown if found else ()
     for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
-        moments = hours if soft.timed else hours[:0]
-        made.append(Shortage(kind, component, soft, side, physical, moments, step, total))
+        timed = (hours, moments) if soft.timed else (hours[:0], ())
+        made.append(Shortage(kind, component, soft, side, physical, *timed, step, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

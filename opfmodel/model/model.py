@@ -61,9 +61,13 @@ class Model:
         Whether different shares of active and reactive demand may be unserved, to diagnose a shortage.
     regularisation
         Weight in $/(h p.u.²) of the squares of regularised quantities.
+    shrinks
+        Whether plans may begin at a later stage of the program; see :mod:`opfmodel.plan.shrinking`.
 
     Attributes
     ----------
+    starts
+        Number of stages at which plans may begin.
     series
         Fields that have time series, by ``(kind, field)``.
     slacks
@@ -86,6 +90,7 @@ class Model:
         elastic: Elastic | None = None,
         split_shedding: bool = False,
         regularisation: float = 0.0,
+        shrinks: bool = False,
     ) -> None:
         self.network = network
         self.regularisation = regularisation
@@ -95,6 +100,7 @@ class Model:
         self.split_shedding = split_shedding
         self.penalties: list[Expression] = []
         self.stages = stages
+        self.starts = stages if shrinks else 1
         self.step = step
         self.reactive = reactive
         self.zones = zones
@@ -224,9 +230,10 @@ class Model:
                 self.rows(kind, f"{name}_ramp", change, floor, limit, replace(soft, first=1))
             if ramped.size:  # each solve enables or frees it through its bounds
                 before = self.build.parameter(f"{name}_previous", ramped.size)
+                first = self.starts
                 self.rows(
-                    kind, f"{name}_ramp_first", moving[:, :1] - before,
-                    lambda t: floor(t)[:, :1], lambda t: limit(t)[:, :1], soft,
+                    kind, f"{name}_ramp_first", moving[:, :first] - before,
+                    lambda t: floor(t)[:, :first], lambda t: limit(t)[:, :first], soft,
                 )  # fmt: skip
                 self.price(
                     kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
@@ -237,10 +244,11 @@ class Model:
 
     def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
         def read(solution: Solution, _: PerUnitNetwork) -> Array:
-            price = np.zeros((items, self.stages))
-            if self.stages > 1:
+            stages = solution.dual(self.balance_p.name).shape[1]
+            price = np.zeros((items, stages))
+            if stages > 1:
                 price[ramped, 1:] = np.abs(solution.dual(f"{name}_ramp"))
-            price[ramped, :1] = np.abs(solution.dual(f"{name}_ramp_first"))
+            price[ramped, :1] = np.abs(solution.dual(f"{name}_ramp_first")[:, :1])
             return price
 
         return read
@@ -280,7 +288,7 @@ class Model:
         end = Soft(
             "cyclic end", items, unit,
             "ends {} short of where it began", "ends {} above where it began",
-            "balance", first=self.stages - 1,
+            "balance", first=None,
         )  # fmt: skip
         self.soften(kind, cyclic, end)
         self.build.minimize(-self.build.parameter(f"{name}_end_price", 1) * values[:, -1:])

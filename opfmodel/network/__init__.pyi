@@ -3,6 +3,7 @@ from .arrays import Index as Index
 from .arrays import PerUnitNetwork as PerUnitNetwork
 from .arrays import Table as Table
 from .arrays import per_unit as per_unit
+from .cases import from_pandapower as from_pandapower
 from .cases import from_pypsa as from_pypsa
 from .cases import read_network as read_network
 from .cases import write_network as write_network
@@ -18,6 +19,7 @@ from .costs import PiecewiseLinear as PiecewiseLinear
 from .costs import Polynomial as Polynomial
 from .fields import at_bus as at_bus
 from .fields import flag as flag
+from .fields import in_service as in_service
 from .fields import number as number
 from .fields import span as span
 from .network import Network as Network

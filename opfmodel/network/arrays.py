@@ -14,6 +14,8 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
 
 from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
@@ -21,6 +23,7 @@ from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
+from opfmodel.network.quantities import CURRENCY
 from opfmodel.network.units import scale
 
 __all__ = ["Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
@@ -97,6 +100,8 @@ class PerUnitNetwork:
         with invalid data.
     left_out
         Names of the components that are out of service or connected to a bus out of service.
+    currency
+        Name of the currency of all costs and prices.
     """
 
     name: str
@@ -107,6 +112,7 @@ class PerUnitNetwork:
     reference: Index
     notes: tuple[str, ...]
     left_out: tuple[str, ...] = ()
+    currency: str = CURRENCY
 
     @property
     def bus(self) -> Table:
@@ -167,6 +173,29 @@ class PerUnitNetwork:
             t.tap,
             t.shift,
         )
+
+    @cached_property
+    def resting_angle(self) -> Array:
+        r"""Voltage angles without flow, radians, shape ``(buses, 1)``: a first guess for solvers.
+
+        Phase shifts of 30 degrees and more, as of most transformers, are too far from zero for a guess.
+        With :math:`w = 1/|r + jx|`, the angles minimise :math:`\sum w (\theta_f - \theta_t - \phi)^2`, zero
+        at the reference buses; they are exact where the shifts around every loop cancel.
+        """
+        branch, n = self.branch, len(self.bus)
+        angle = np.zeros((n, 1))
+        if not branch.shift.any():
+            return angle
+        weight = 1.0 / np.hypot(branch.r, branch.x)[:, 0]
+        ends = np.concatenate([branch.from_bus, branch.to_bus])
+        incidence = sp.csr_matrix(
+            (np.repeat([1.0, -1.0], len(branch)), (ends, np.tile(np.arange(len(branch)), 2))),
+            shape=(n, len(branch)),
+        )
+        free = np.setdiff1d(np.arange(n), self.reference)
+        matrix = (incidence @ sp.diags(weight) @ incidence.T)[free][:, free]
+        angle[free, 0] = spsolve(matrix.tocsc(), (incidence @ (weight * branch.shift[:, 0]))[free])
+        return angle
 
     def at_buses(self, kind: str, values: Array) -> Array:
         """Sum the values of one kind of component at each bus: ``(items, ...) -> (buses, ...)``."""
@@ -248,7 +277,15 @@ def _lay_out(network: Network) -> PerUnitNetwork:
             notes.append(note)
     left_out = tuple(name for name in network if name not in kept)
     return PerUnitNetwork(
-        network.name, base_mva, network.base_mva, tables, island, reference, tuple(notes), left_out
+        network.name,
+        base_mva,
+        network.base_mva,
+        tables,
+        island,
+        reference,
+        tuple(notes),
+        left_out,
+        network.currency,
     )
 
 

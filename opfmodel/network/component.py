@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from opfmodel.errors import ComponentError, ProfileError, close, nearest, raise_all
-from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.describe import documented
 from opfmodel.network.fields import (
     INF,
     TableField,
@@ -56,15 +57,13 @@ _RULES: Mapping[str, _Check] = {
 }
 
 
-_COEFFICIENTS = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
-
-
 class Component:
     """Base class of all components of a network.
 
     A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span`,
-    :func:`flag` and :func:`at_bus`. These describe how a field is checked, converted to per unit and
-    laid out in arrays; a new kind of component needs nothing else.
+    :func:`flag` and :func:`at_bus`. These state how a field is checked, converted to per unit and
+    laid out in arrays, and describe it in its docstring, in documentation and in the schema of scenario
+    files; a new kind of component needs nothing else.
 
     Attributes
     ----------
@@ -75,6 +74,12 @@ class Component:
     kind: ClassVar[str]
     plural: ClassVar[str]
     in_service: bool
+
+    def __init_subclass__(cls) -> None:
+        """Add a section on the parameters to the docstring, from the descriptions of the fields."""
+        super().__init_subclass__()
+        own = {name: item for name, item in vars(cls).items() if isinstance(item, Field)}
+        cls.__doc__ = documented(cls.__doc__, {**getattr(cls, "__dataclass_fields__", {}), **own})
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse unknown fields and suggest the closest known ones."""
@@ -159,7 +164,7 @@ class Component:
         for name, item in cls.fields().items():
             form, unit = item.metadata["form"], item.metadata["unit"]
             for quantity in cls.quantities(name):
-                own = _COEFFICIENTS[quantity] if form == "cost" else unit
+                own = COEFFICIENT_UNITS[quantity] if form == "cost" else unit
                 made[quantity] = TableField(form, own, item.metadata.get("series", True))
         return made
 
@@ -173,7 +178,7 @@ class Component:
         >>> Generator.quantities("p"), Generator.quantities("cost"), Generator.quantities("bus")
         (('p_min', 'p_max'), ('c2', 'c1', 'c0'), ())
         """
-        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(_COEFFICIENTS)}
+        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(COEFFICIENT_UNITS)}
         return named.get(cls.fields()[key].metadata["form"], ())
 
     def constant(self, field: str) -> float:
@@ -241,31 +246,41 @@ class Component:
         ComponentError
             A field is unknown, missing, or invalid (see :meth:`check_declared`).
         """
-        known = cls.fields()
-        converted = {key: plain_value(known[key], value) for key, value in values.items() if key in known}
-        raise_all(cls._errors_of_keys(name, values, converted))
-        component = cls(**converted)
+        required = {key for key, item in cls.fields().items() if item.default is MISSING}
+        if not required <= values.keys() <= cls.fields().keys():
+            raise_all(cls.errors_of_mapping(name, values))
+        component = cls(**cls._converted(values))
         component.check_declared(name)
         return component
 
     @classmethod
-    def _errors_of_keys(
-        cls, name: str, values: Mapping[str, Any], converted: Mapping[str, Any]
+    def errors_of_mapping(
+        cls, name: str, values: Mapping[str, Any], wrong: Collection[str] = ()
     ) -> Iterator[ComponentError]:
-        """Yield the errors of unknown and missing fields and, if there are any, those of the others."""
+        """Yield the errors of unknown and missing fields, and of each value regarded by itself.
+
+        Parameters
+        ----------
+        wrong
+            Fields whose values are known to be wrong.
+        """
         known = cls.fields()
         unknown = [key for key in values if key not in known]
         meant = {field for key in unknown for field in close(key, known)}
-        missing = [k for k, item in known.items() if k not in values and item.default is MISSING]
         for key in unknown:
             rule = f"unknown field of a {cls.kind}; {nearest(key, known)}"
             yield ComponentError(name, key, values[key], rule)
-        for key in missing:
-            if key not in meant:
+        for key, item in known.items():
+            if item.default is MISSING and key not in values and key not in meant:
                 yield ComponentError(name, key, None, f"required for a {cls.kind}")
-        if unknown or missing:
-            in_service = converted.get("in_service", True)
-            yield from cls._errors(name, converted, not is_flag(in_service) or bool(in_service))
+        checked = {key: value for key, value in cls._converted(values).items() if key not in wrong}
+        in_service = values.get("in_service", True)
+        yield from cls._errors(name, checked, in_service=not is_flag(in_service) or bool(in_service))
+
+    @classmethod
+    def _converted(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        known = cls.fields()
+        return {key: plain_value(known[key], value) for key, value in values.items() if key in known}
 
 
 _Kind = TypeVar("_Kind", bound=Component)

@@ -7,13 +7,13 @@ network's ``base_mva``, and voltages are per unit.
 from __future__ import annotations
 
 import math
-from dataclasses import field, replace
+from dataclasses import replace
 from typing import ClassVar
 
 from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
 from opfmodel.network.costs import Cost, Polynomial
-from opfmodel.network.fields import INF, at_bus, flag, number, span
+from opfmodel.network.fields import INF, at_bus, cost_of, flag, in_service, number, span
 
 __all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Shunt", "Storage"]
 
@@ -22,67 +22,72 @@ _LEAST_IMPEDANCE = 1e-12  # p.u.; admittances are squared
 
 @component
 class Bus(Component):
-    """A node of the grid.
-
-    Parameters
-    ----------
-    vm
-        ``(min, max)`` of the voltage magnitude, p.u.
-    base_kv
-        Nominal voltage, kV; only used in network files.
-    reference
-        Whether this is the reference bus of its island, with angle zero.
-    """
+    """A node of the grid."""
 
     kind: ClassVar[str] = "bus"
     plural: ClassVar[str] = "buses"
 
-    vm: tuple[float, float] = span("p.u.", (0.9, 1.1), at_least=0.0)
-    base_kv: float | None = number("kV", None, above=0.0, optional=True, series=False)
-    reference: bool = flag(False)
-    in_service: bool = flag(True)
+    vm: tuple[float, float] = span(
+        "p.u.", (0.9, 1.1), at_least=0.0, description="(min, max) of the voltage magnitude."
+    )
+    base_kv: float | None = number(
+        "kV",
+        None,
+        above=0.0,
+        optional=True,
+        series=False,
+        description="Nominal voltage; only used in network files.",
+    )
+    reference: bool = flag(False, "Whether this is the reference bus of its island, with angle zero.")
+    in_service: bool = in_service()
 
 
 @component
 class Branch(Component):
-    """A line or transformer: the π model with an ideal transformer at the from end.
-
-    Parameters
-    ----------
-    from_bus, to_bus
-        Names of its buses.
-    r, x
-        Series impedance, p.u.
-    b, g
-        Total charging susceptance and conductance, half at each end, p.u.
-    rating
-        Maximum apparent power at both ends, MVA; None for no limit.
-    tap, shift
-        Transformer ratio, from 0.001 to 1000, and phase shift, degrees.
-    angle
-        ``(min, max)`` of the angle difference from - to, degrees; ±360 or more means no limit.
-    g_from, b_from, g_to, b_to
-        Additional shunt admittance at each end, p.u.
-    """
+    """A line or transformer: the π model with an ideal transformer at the from end."""
 
     kind: ClassVar[str] = "branch"
     plural: ClassVar[str] = "branches"
 
-    from_bus: str = at_bus()
-    to_bus: str = at_bus()
-    r: float = number("p.u. impedance", series=False)
-    x: float = number("p.u. impedance", series=False)
-    b: float = number("p.u. admittance", 0.0, series=False)
-    g: float = number("p.u. admittance", 0.0, series=False)
-    rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
-    tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False)
-    shift: float = number("deg", 0.0, series=False)
-    angle: tuple[float, float] = span("deg", (-360.0, 360.0), series=False)
-    g_from: float = number("p.u. admittance", 0.0, series=False)
-    b_from: float = number("p.u. admittance", 0.0, series=False)
-    g_to: float = number("p.u. admittance", 0.0, series=False)
-    b_to: float = number("p.u. admittance", 0.0, series=False)
-    in_service: bool = flag(True)
+    from_bus: str = at_bus("Name of the bus at its from end.")
+    to_bus: str = at_bus("Name of the bus at its to end.")
+    r: float = number("p.u. impedance", series=False, description="Series resistance.")
+    x: float = number("p.u. impedance", series=False, description="Series reactance.")
+    b: float = number(
+        "p.u. admittance", 0.0, series=False, description="Total charging susceptance, half at each end."
+    )
+    g: float = number(
+        "p.u. admittance", 0.0, series=False, description="Total charging conductance, half at each end."
+    )
+    rating: float | None = number(
+        "MVA",
+        None,
+        at_least=0.0,
+        optional=True,
+        finite=False,
+        description="Maximum apparent power at both ends; none for no limit.",
+    )
+    tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False, description="Transformer ratio.")
+    shift: float = number("deg", 0.0, series=False, description="Phase shift of the transformer.")
+    angle: tuple[float, float] = span(
+        "deg",
+        (-360.0, 360.0),
+        series=False,
+        description="(min, max) of the angle difference from - to; ±360 or more means no limit.",
+    )
+    g_from: float = number(
+        "p.u. admittance", 0.0, series=False, description="Additional shunt conductance at the from end."
+    )
+    b_from: float = number(
+        "p.u. admittance", 0.0, series=False, description="Additional shunt susceptance at the from end."
+    )
+    g_to: float = number(
+        "p.u. admittance", 0.0, series=False, description="Additional shunt conductance at the to end."
+    )
+    b_to: float = number(
+        "p.u. admittance", 0.0, series=False, description="Additional shunt susceptance at the to end."
+    )
+    in_service: bool = in_service()
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks a rule or the impedance is close to zero."""
@@ -100,89 +105,125 @@ class Branch(Component):
 
 @component
 class Generator(Component):
-    """A generating unit at a bus.
-
-    Parameters
-    ----------
-    bus
-        Name of its bus.
-    p, q
-        ``(min, max)`` of active and reactive power, MW and MVAr; no limit on q by default.
-    ramp
-        Maximum change of active power, MW/h; None for no limit.
-    cost
-        :class:`Polynomial` or :class:`PiecewiseLinear`.
-    pg_set, qg_set
-        Set-points of active and reactive power in a power flow, MW and MVAr; None for 0, within the limits.
-    vm_set
-        Set-point of the voltage at its bus in a power flow, p.u.; None for 1, within the limits of the bus.
-    regulates
-        Whether the generator holds ``vm_set`` in a power flow; otherwise it injects ``qg_set``.
-    """
+    """A generating unit at a bus."""
 
     kind: ClassVar[str] = "generator"
     plural: ClassVar[str] = "generators"
 
     bus: str = at_bus()
-    p: tuple[float, float] = span("MW")
-    q: tuple[float, float] = span("MVAr", (-INF, INF))
-    ramp: float | None = number("MW/h", None, at_least=0.0, optional=True, finite=False)
-    cost: Cost = field(default=Polynomial(), metadata={"form": "cost", "unit": ""})
-    pg_set: float | None = number("MW", None, optional=True, series=False)
-    qg_set: float | None = number("MVAr", None, optional=True, series=False)
-    vm_set: float | None = number("p.u.", None, above=0.0, optional=True, series=False)
-    regulates: bool = flag(True)
-    in_service: bool = flag(True)
+    p: tuple[float, float] = span("MW", description="(min, max) of active power.")
+    q: tuple[float, float] = span("MVAr", (-INF, INF), description="(min, max) of reactive power.")
+    ramp: float | None = number(
+        "MW/h",
+        None,
+        at_least=0.0,
+        optional=True,
+        finite=False,
+        description="Maximum change of active power; none for no limit.",
+    )
+    cost: Cost = cost_of(Polynomial(), "Cost of active power: a Polynomial or PiecewiseLinear.")
+    pg_set: float | None = number(
+        "MW",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of active power in a power flow; none for 0, within the limits.",
+    )
+    qg_set: float | None = number(
+        "MVAr",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of reactive power in a power flow; none for 0, within the limits.",
+    )
+    vm_set: float | None = number(
+        "p.u.",
+        None,
+        above=0.0,
+        optional=True,
+        series=False,
+        description="Set-point of the voltage at its bus in a power flow; none for 1, within its limits.",
+    )
+    regulates: bool = flag(
+        True, "Whether the generator holds vm_set in a power flow; otherwise it injects qg_set."
+    )
+    in_service: bool = in_service()
 
 
 @component
 class Storage(Component):
-    """A battery or other energy storage; positive power charges it.
-
-    Parameters
-    ----------
-    bus
-        Name of its bus.
-    energy
-        Energy capacity, MWh.
-    power
-        ``(min, max)`` of the charging power, MW; a single number ``a`` means ``(-a, a)``.
-    q
-        ``(min, max)`` of the reactive power drawn, MVAr; a single number as for ``power``.
-    initial
-        Initial energy, MWh; None for the midpoint of ``energy_min`` and ``energy``.
-    energy_min
-        Minimum stored energy, MWh.
-    charge_efficiency, discharge_efficiency
-        Efficiency, from 0.001 to 1.
-    standing_loss
-        Fraction of the stored energy lost per hour.
-    rating
-        Maximum apparent power, MVA; None for no limit.
-    exclusive
-        Forbid simultaneous charging and discharging, relevant only with losses and negative
-        prices. Makes the problem non-convex, so it requires a nonlinear solver.
-    ps_set, qs_set
-        Charging power and reactive power drawn in a power flow, MW and MVAr; None for 0.
-    """
+    """A battery or other energy storage; positive power charges it."""
 
     kind: ClassVar[str] = "storage"
     plural: ClassVar[str] = "storages"
 
     bus: str = at_bus()
-    energy: float = number("MWh", at_least=0.0)
-    power: float | tuple[float, float] = span("MW", symmetric=True)
-    q: float | tuple[float, float] = span("MVAr", (0.0, 0.0), symmetric=True)
-    initial: float | None = number("MWh", None, at_least=0.0, optional=True, series=False)
-    energy_min: float = number("MWh", 0.0, at_least=0.0)
-    charge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
-    discharge_efficiency: float = number("", 1.0, at_least=1e-3, at_most=1.0, series=False)
-    standing_loss: float = number("1/h", 0.0, at_least=0.0, at_most=1.0, series=False)
-    rating: float | None = number("MVA", None, at_least=0.0, optional=True, finite=False)
-    exclusive: bool = flag(False)
-    ps_set: float | None = number("MW", None, optional=True, series=False)
-    qs_set: float | None = number("MVAr", None, optional=True, series=False)
-    in_service: bool = flag(True)
+    energy: float = number("MWh", at_least=0.0, description="Energy capacity.")
+    power: float | tuple[float, float] = span(
+        "MW", symmetric=True, description="(min, max) of the charging power; a single number a means (-a, a)."
+    )
+    q: float | tuple[float, float] = span(
+        "MVAr",
+        (0.0, 0.0),
+        symmetric=True,
+        description="(min, max) of the reactive power drawn; a single number as for power.",
+    )
+    initial: float | None = number(
+        "MWh",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Initial energy; none for the midpoint of energy_min and energy.",
+    )
+    energy_min: float = number("MWh", 0.0, at_least=0.0, description="Minimum stored energy.")
+    charge_efficiency: float = number(
+        "", 1.0, at_least=1e-3, at_most=1.0, series=False, description="Energy stored per energy drawn."
+    )
+    discharge_efficiency: float = number(
+        "",
+        1.0,
+        at_least=1e-3,
+        at_most=1.0,
+        series=False,
+        description="Energy delivered per energy taken from the store.",
+    )
+    standing_loss: float = number(
+        "1/h",
+        0.0,
+        at_least=0.0,
+        at_most=1.0,
+        series=False,
+        description="Fraction of the stored energy lost per hour.",
+    )
+    rating: float | None = number(
+        "MVA",
+        None,
+        at_least=0.0,
+        optional=True,
+        finite=False,
+        description="Maximum apparent power; none for no limit.",
+    )
+    exclusive: bool = flag(
+        False,
+        "Forbid simultaneous charging and discharging, relevant only with losses and negative prices; "
+        "the problem becomes non-convex and needs a nonlinear solver.",
+    )
+    ps_set: float | None = number(
+        "MW",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of the charging power in a power flow; none for 0.",
+    )
+    qs_set: float | None = number(
+        "MVAr",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of the reactive power drawn in a power flow; none for 0.",
+    )
+    in_service: bool = in_service()
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks a rule or the energies are not in order."""
@@ -214,44 +255,28 @@ class Storage(Component):
 
 @component
 class Load(Component):
-    """A demand at a bus; negative values are injections.
-
-    Parameters
-    ----------
-    bus
-        Name of its bus.
-    p, q
-        Active and reactive demand, MW and MVAr.
-    """
+    """A demand at a bus; negative values are injections."""
 
     kind: ClassVar[str] = "load"
     plural: ClassVar[str] = "loads"
 
     bus: str = at_bus()
-    p: float = number("MW")
-    q: float = number("MVAr", 0.0)
-    in_service: bool = flag(True)
+    p: float = number("MW", description="Active demand.")
+    q: float = number("MVAr", 0.0, description="Reactive demand.")
+    in_service: bool = in_service()
 
 
 @component
 class Shunt(Component):
-    """A shunt at a bus, which draws ``g vm²`` active power and injects ``b vm²`` reactive power.
-
-    Parameters
-    ----------
-    bus
-        Name of its bus.
-    g, b
-        Active power drawn and reactive power injected at 1 p.u. voltage, MW and MVAr.
-    """
+    """A shunt at a bus, which draws ``g vm²`` active power and injects ``b vm²`` reactive power."""
 
     kind: ClassVar[str] = "shunt"
     plural: ClassVar[str] = "shunts"
 
     bus: str = at_bus()
-    g: float = number("MW", 0.0, series=False)
-    b: float = number("MVAr", 0.0, series=False)
-    in_service: bool = flag(True)
+    g: float = number("MW", 0.0, series=False, description="Active power drawn at a voltage of 1 p.u.")
+    b: float = number("MVAr", 0.0, series=False, description="Reactive power injected at a voltage of 1 p.u.")
+    in_service: bool = in_service()
 
 
 BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)

@@ -9,7 +9,12 @@ from itertools import pairwise
 from opfmodel.errors import ComponentError
 from opfmodel.network.bounds import LARGEST, bounded, is_number
 
-__all__ = ["Cost", "PiecewiseLinear", "Polynomial"]
+__all__ = ["COEFFICIENT_UNITS", "POINT_UNITS", "Cost", "PiecewiseLinear", "Polynomial"]
+
+COEFFICIENT_UNITS = {"c2": "$/MW^2h", "c1": "$/MWh", "c0": "$/h"}
+"""Units of the coefficients of a :class:`Polynomial`."""
+POINT_UNITS = ("MW", "$/h")
+"""Units of a point of a :class:`PiecewiseLinear` cost."""
 
 
 class Cost:

@@ -16,7 +16,9 @@ __all__ = [
     "INF",
     "TableField",
     "at_bus",
+    "cost_of",
     "flag",
+    "in_service",
     "is_flag",
     "number",
     "rules_of_number",
@@ -41,6 +43,7 @@ def number(
     optional: bool = False,
     finite: bool = True,
     series: bool = True,
+    description: str = "",
 ) -> Any:
     """Declare a field that holds one number.
 
@@ -56,6 +59,8 @@ def number(
         Whether infinity is refused. Where it is accepted, also in time series, it means "no limit".
     series
         Whether the field accepts a time series. Coefficients of equations must be constant.
+    description
+        What the field means, in one line without its unit; documentation and schemas state it.
     """
     metadata = {
         "form": "number",
@@ -66,6 +71,7 @@ def number(
         "optional": optional,
         "finite": finite,
         "series": series,
+        "description": description,
     }
     return field(default=default, metadata=metadata)
 
@@ -77,6 +83,7 @@ def span(
     at_least: float = -INF,
     symmetric: bool = False,
     series: bool = True,
+    description: str = "",
 ) -> Any:
     """Declare a field that holds ``(min, max)``, with arrays ``<field>_min`` and ``<field>_max``.
 
@@ -84,21 +91,40 @@ def span(
     ----------
     symmetric
         Whether a single number ``a`` stands for ``(-a, a)``.
-    series
+    series, description
         As for :func:`number`.
     """
-    metadata = {"form": "span", "unit": unit, "at_least": at_least, "symmetric": symmetric, "series": series}
+    metadata = {
+        "form": "span",
+        "unit": unit,
+        "at_least": at_least,
+        "symmetric": symmetric,
+        "series": series,
+        "description": description,
+    }
     return field(default=default, metadata=metadata)
 
 
-def at_bus() -> Any:
+def at_bus(description: str = "Name of its bus.") -> Any:
     """Declare a field that names a bus; its array holds bus positions."""
-    return field(metadata={"form": "bus", "unit": "", "series": False})
+    return field(metadata={"form": "bus", "unit": "", "series": False, "description": description})
 
 
-def flag(default: bool) -> Any:
+def flag(default: bool, description: str = "") -> Any:
     """Declare a field that is true or false."""
-    return field(default=default, metadata={"form": "flag", "unit": "", "series": False})
+    return field(
+        default=default, metadata={"form": "flag", "unit": "", "series": False, "description": description}
+    )
+
+
+def in_service() -> Any:
+    """Declare the field ``in_service``, which every component has."""
+    return flag(True, "Whether the component is in service; false leaves it out.")
+
+
+def cost_of(default: Any, description: str) -> Any:
+    """Declare a field that holds a cost function."""
+    return field(default=default, metadata={"form": "cost", "unit": "", "description": description})
 
 
 class TableField(NamedTuple):

@@ -23,11 +23,12 @@ from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
+from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest, raise_all
 from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
 from opfmodel.network.components import BUILT_IN, Bus, Generator, Load, Storage
 from opfmodel.network.fields import INF
+from opfmodel.network.quantities import CURRENCY, currency_fault
 
 __all__ = ["Network", "name_pattern"]
 
@@ -45,6 +46,8 @@ class Network:
     base_mva
         Power base of the branch impedances and admittances, from 1e-6 to 1e9 MVA. Results do not depend
         on it, because internal per-unit values refer to :attr:`scale_mva`.
+    currency
+        Name of the currency of all costs and prices, with which results are labelled.
 
     Examples
     --------
@@ -54,13 +57,14 @@ class Network:
 
     name: str
     base_mva: float
+    currency: str
     _components: dict[str, Component]
     _derived: dict[Callable[[Network], Any], Any]
     _classes: dict[str, type[Component]]
     _profiles: Profiles
     _aliases: dict[str, str | None]
 
-    def __init__(self, name: str = "network", base_mva: float = 100.0) -> None:
+    def __init__(self, name: str = "network", base_mva: float = 100.0, currency: str = CURRENCY) -> None:
         least, most = BASE_MVA
         if not is_number(base_mva) or not least <= base_mva <= most:
             raise NetworkError(
@@ -72,6 +76,7 @@ class Network:
         object.__setattr__(self, "base_mva", float(base_mva))
         object.__setattr__(self, "_components", {})
         object.__setattr__(self, "_derived", {})
+        self.set_currency(currency)
         object.__setattr__(self, "_classes", {kind.kind: kind for kind in BUILT_IN})
         object.__setattr__(self, "_profiles", Profiles())
         object.__setattr__(self, "_aliases", {})
@@ -97,6 +102,19 @@ class Network:
         """
         capacity = self.capacity_mva
         return min(100.0, 10.0 ** math.floor(math.log10(capacity))) if capacity > 0 else 100.0
+
+    def set_currency(self, currency: str) -> None:
+        """Name the currency of all costs and prices, as for a network from a file; no value is converted.
+
+        Raises
+        ------
+        NetworkError
+            The name is not that of a currency.
+        """
+        if fault := currency_fault(currency):
+            raise NetworkError(f"network {self.name!r}: currency = {currency!r}: {fault}")
+        object.__setattr__(self, "currency", currency)
+        self._derived.clear()
 
     def add(self, name: str, component: Component) -> Component:
         """Declare a component under a name.
@@ -133,11 +151,12 @@ class Network:
         time series of these fields.
         """
         old = self[name]
-        for key, value in changes.items():
-            if key not in old.fields():
-                raise ComponentError(
-                    name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}"
-                )
+        known = old.fields()
+        raise_all(
+            ComponentError(name, key, value, f"unknown field of a {old.kind}; {nearest(key, known)}")
+            for key, value in changes.items()
+            if key not in known
+        )
         new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check_declared(name)
         self._set(name, new)
@@ -226,7 +245,7 @@ class Network:
 
     def copy(self) -> Network:
         """Return an independent copy with the same components."""
-        twin = Network(self.name, self.base_mva)
+        twin = Network(self.name, self.base_mva, self.currency)
         twin._components.update(self._components)
         twin._derived.update(self._derived)
         twin._classes.update(self._classes)
@@ -262,7 +281,7 @@ class Network:
             raise AttributeError(str(error)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if hasattr(type(self), name) or name in ("name", "base_mva"):
+        if hasattr(type(self), name) or name in ("name", "base_mva", "currency"):
             raise NetworkError(
                 f"network {self.name!r}: {name!r} is an attribute of Network; use add({name!r}, ...) "
                 "or another name"

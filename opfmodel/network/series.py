@@ -155,10 +155,17 @@ def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
     return out
 
 
-def window(profiles: Profiles, network: PerUnitNetwork, start: int, stages: int) -> Fields:
+def window(
+    profiles: Profiles, network: PerUnitNetwork, start: int, stages: int, repeats: bool = False
+) -> Fields:
     """Per-unit arrays ``(items, stages)`` by ``(kind, field)`` for the ``stages`` steps from ``start``.
 
     Components without a time series keep their constant value.
+
+    Parameters
+    ----------
+    repeats
+        Whether series begin again after their end.
 
     Raises
     ------
@@ -166,8 +173,9 @@ def window(profiles: Profiles, network: PerUnitNetwork, start: int, stages: int)
         A series ends before the window.
     """
     out: Fields = {}
+    steps = np.arange(start, start + stages)
     for key, kind, position, values in _placed(profiles, network):
-        if len(values) < start + stages:
+        if len(values) < start + stages and not repeats:
             raise ProfileError(
                 f"profile '{key}': has {len(values)} values; "
                 f"steps {start} to {start + stages - 1} need {start + stages}",
@@ -177,7 +185,7 @@ def window(profiles: Profiles, network: PerUnitNetwork, start: int, stages: int)
         if (kind, key.field) not in out:
             out[kind, key.field] = np.repeat(table.arrays[key.field], stages, axis=1)
         factor = scale(table.units[key.field], network.base_mva)
-        out[kind, key.field][position] = values[start : start + stages] / factor
+        out[kind, key.field][position] = values[steps % len(values)] / factor
     return out
 
 

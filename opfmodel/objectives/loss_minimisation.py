@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from opfmodel.model import Stage
 from opfmodel.network.bounds import number_within
+from opfmodel.network.quantities import In
 from opfmodel.objectives.base import Objective
 from solvers import total
 
@@ -29,7 +30,7 @@ class LossMinimisation(Objective):
     needs = ("pf", "pt")
     regularisation = 1e-2
 
-    def __init__(self, price: float = 1.0) -> None:
+    def __init__(self, price: Annotated[float, In("$/MWh")] = 1.0) -> None:
         self.price = number_within("loss minimisation: price", price, at_least=0)
 
     def stage_cost(self, stage: Stage) -> Any:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from opfmodel.model import Stage
 from opfmodel.network.bounds import number_within
+from opfmodel.network.quantities import In
 from opfmodel.objectives.base import Objective
 from solvers import total
 
@@ -30,7 +31,7 @@ class StoredEnergyValue(Objective):
 
     needs = ("e_next",)
 
-    def __init__(self, price: float) -> None:
+    def __init__(self, price: Annotated[float, In("$/MWh")]) -> None:
         self.price = number_within("stored energy value: price", price)
 
     def stage_cost(self, stage: Stage) -> Any:  # noqa: ARG002

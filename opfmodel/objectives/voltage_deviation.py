@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from opfmodel.model import Stage
 from opfmodel.network.bounds import number_within
+from opfmodel.network.quantities import In
 from opfmodel.objectives.base import Objective
 from solvers import total
 
@@ -29,7 +30,7 @@ class VoltageDeviation(Objective):
     needs = ("vm",)
     regularisation = 1e-2
 
-    def __init__(self, target: float = 1.0, weight: float = 1.0) -> None:
+    def __init__(self, target: Annotated[float, In("p.u.")] = 1.0, weight: float = 1.0) -> None:
         self.target = number_within("voltage deviation: target", target, at_least=0)
         self.weight = number_within("voltage deviation: weight", weight, at_least=0)
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -30,12 +32,14 @@ from opfmodel.network.units import scale
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
+from opfmodel.plan.extent import AtEnd, check_lengths, stages_from
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
-from opfmodel.plan.shortage import Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shortage import SHORTAGE, Nothing, limit_shortage, without_outbidding
+from opfmodel.plan.shrinking import Shrinking
 from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
 from solvers.interrupt import interruptible
 
@@ -47,7 +51,7 @@ Array = npt.NDArray[np.float64]
 _STATED = frozenset(
     (
         "network", "horizon", "step", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "devices", "solver", "options", "verbose",
+        "end", "regularisation", "elastic", "devices", "at_end", "solver", "options", "verbose",
     )
 )  # fmt: skip
 
@@ -84,6 +88,10 @@ class MultiStage:
         By default every limit is hard.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
+    at_end
+        What a plan does that looks beyond the end of the data (time series of the network, the objective
+        and the constraints). ``error``: it is refused. ``repeat``: the whole series follow once more, and
+        again. ``shrink``: the plan ends with the data; the program is the same for all horizons.
     solver, options
         Back end and its options; see :func:`solvers.prepare`.
     verbose
@@ -120,6 +128,7 @@ class MultiStage:
         regularisation: float | None = None,
         elastic: Elastic | None = None,
         devices: Iterable[Device] = (),
+        at_end: AtEnd = "error",
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
@@ -127,6 +136,8 @@ class MultiStage:
         shortest, longest = STEP_HOURS
         if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
+        if at_end not in get_args(AtEnd):
+            raise ModelError(f"at_end = {at_end!r}: must be {', '.join(map(repr, get_args(AtEnd)))}")
         if not isinstance(network, Network):
             raise ModelError(f"network = {shown(network)}: must be a Network")
         for name, value, kind in (
@@ -158,12 +169,14 @@ class MultiStage:
         )
         self.elastic = elastic
         self.devices = make_devices(self.arrays, devices)
+        self.at_end = at_end
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
         self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
         self._rationed, self._split_shedding = False, False
+        self._shrinking: Shrinking | None = None
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -328,19 +341,26 @@ class MultiStage:
         metered
             Objective that evaluates the realised costs; by default that of the problem.
         """
-        planned = steps + self.horizon - 1
-        lengths = [("time series", self.profiles.length, planned)]
-        lengths += [(f"constraint {name!r}", own.length, planned) for name, own in self.constraints.items()]
-        for objective, needed in ((self.objective, planned), (metered or self.objective, steps)):
-            own = [values.shape[1] for values in self._series_of(objective).values()]
-            length = min((size for size in own if size > 1), default=None)
-            lengths.append((f"series of {type(objective).__name__}", length, needed))
-        for what, length, needed in lengths:
-            if length is not None and length < needed:
-                raise ModelError(
-                    f"{steps} steps with a horizon of {self.horizon} need {what} of {needed} values; "
-                    f"the shortest has {length}; extend the series, or reduce the horizon or the steps"
-                )
+        check_lengths(self, steps, metered)
+
+    def stages_from(self, time: int) -> int:
+        """Return the number of stages of a plan: the horizon, or fewer if plans end with the data.
+
+        Raises
+        ------
+        ModelError
+            The data end before the step.
+        """
+        return stages_from(self, time)
+
+    def times(self, first: int, stages: int) -> Times:
+        """Return the beginnings of stages from a step on."""
+        return Times(first, stages, self.step, self.profiles.calendar)
+
+    def step_name(self, step: int) -> str:
+        """Return a step for messages: its number, and its local time if the series have time stamps."""
+        calendar = self.profiles.calendar
+        return f"step {step}" if calendar is None else f"step {step} ({calendar.shown(step)})"
 
     def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
         """Return the network with the time series of ``stages`` steps from ``start``.
@@ -355,12 +375,19 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        series = window(self.profiles, self.arrays, start, stages)
+        return self.arrays.with_series(self._series(start, stages, objective))
+
+    def _series(
+        self, start: int, stages: int, objective: Objective | None = None
+    ) -> dict[tuple[str, str], Array]:
+        """Return the time series of a window by ``(kind, field)``, per unit ``(items, stages)``."""
+        repeats = self.at_end == "repeat"
+        series = window(self.profiles, self.arrays, start, stages, repeats)
         objective = self.objective if objective is None else objective
-        for key, values in self._series_of(objective).items():
+        for key, values in self.series_of(objective).items():
             known = values.shape[1]
-            if known == 1:
-                series[key] = np.repeat(values, stages, axis=1)
+            if known == 1 or repeats:
+                series[key] = values[:, np.arange(start, start + stages) % known]
             elif known < start + stages:
                 raise ModelError(
                     f"{type(objective).__name__}: {key[1]} has {known} values; "
@@ -368,13 +395,14 @@ class MultiStage:
                 )
             else:
                 series[key] = values[:, start : start + stages]
-        return self.arrays.with_series(series)
+        return series
 
     @cached_property
     def _objective_series(self) -> Mapping[tuple[str, str], Array]:
         return self.objective.series(self.arrays)
 
-    def _series_of(self, objective: Objective) -> Mapping[tuple[str, str], Array]:
+    def series_of(self, objective: Objective) -> Mapping[tuple[str, str], Array]:
+        """Return the series of an objective, per unit; those of the problem's own are cached."""
         own = objective is self.objective
         return self._objective_series if own else objective.series(self.arrays)
 
@@ -406,6 +434,7 @@ class MultiStage:
             elastic=self.elastic,
             split_shedding=self._split_shedding,
             regularisation=self.regularisation,
+            shrinks=self.at_end == "shrink",
         )
         self.formulation.declare(model)
         for device in self.devices:
@@ -439,6 +468,10 @@ class MultiStage:
         if self._rationed:
             limit_shortage(model)
         program = model.build.build()
+        if self.at_end == "shrink" and self.horizon > 1:
+            stocks = [name for name, state in model.states.items() if state.role == "stock"]
+            whole = [*(f"{name}_cyclic" for name in stocks), SHORTAGE]
+            self._shrinking = Shrinking(program, self.horizon, stocks, whole)
         session = prepare(program, self.solver, self.options, self.verbose)
         self.build_seconds = clock.perf_counter() - began
         return model, program, session
@@ -515,8 +548,8 @@ class MultiStage:
             Whether the warm start includes the multipliers of the earlier plan; without them, only its
             primal point is used.
         expected
-            Values of fields over the horizon by ``(kind, field)``, ``(items, stages)`` in per unit,
-            in place of those of the profiles or the objective; for instance a forecast.
+            Values of fields over the stages of the plan by ``(kind, field)``, ``(items, stages)`` in per
+            unit, in place of those of the profiles or the objective; for instance a forecast.
 
         Returns
         -------
@@ -558,8 +591,11 @@ class MultiStage:
             if key not in model.series:
                 known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
                 raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
-        network = self.window(time, self.horizon).with_series(request.expected or {})
-        numbers = Numbers(model, program, network)
+        stages = self.stages_from(time)
+        begin = self.horizon - stages
+        series = {**self._series(time, stages), **(request.expected or {})}
+        network = self.arrays.with_series(series)
+        numbers = self._numbers(model, program, network, series, begin)
         states = {name: None for name in (initial or {}) if name not in model.states}
         if states:
             raise ModelError(
@@ -578,20 +614,37 @@ class MultiStage:
             numbers.end_with(state.name, end)
         for constraint in self.constraints.values():
             if constraint.limited:
-                low, high = constraint.window(time, self.horizon)
+                low, high = constraint.window(time, stages, self.at_end == "repeat")
                 numbers.limit(constraint.rows, low[None, :], high[None, :])
         for name, (lower, upper) in (limits or {}).items():
             numbers.limit(name, lower, upper)
         instance = numbers.instance()
-        start = _start(previous, program, time, multipliers)
-        solution = session.solve(instance, start)
+        start = _start(previous, program, time, begin, multipliers)
+        solution = replace(session.solve(instance, start), skipped=begin)
         return Plan(self, model, solution, network, request)
 
+    def _numbers(
+        self,
+        model: Model,
+        program: Program,
+        network: PerUnitNetwork,
+        series: Mapping[tuple[str, str], Array],
+        begin: int,
+    ) -> Numbers:
+        """Return the instance data of a plan that begins at a stage of the program."""
+        if not begin:
+            return Numbers(model, program, network)
+        assert self._shrinking is not None
+        ahead = {key: np.repeat(values[:, :1], begin, axis=1) for key, values in series.items()}
+        whole = {key: np.hstack([ahead[key], values]) for key, values in series.items()}
+        return Numbers(model, program, self.arrays.with_series(whole), begin, self._shrinking.freed(begin))
 
-def _start(previous: Plan | None, program: Program, time: int, multipliers: bool) -> Start | None:
+
+def _start(previous: Plan | None, program: Program, time: int, begin: int, multipliers: bool) -> Start | None:
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    moved = previous.solution.shifted(time - previous.time)
+    stages = time - previous.time - (begin - previous.solution.skipped)
+    moved = previous.solution.shifted(max(stages, 0))
     if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(moved.x) if moved.x.size == program.n_variables else None
     return moved if multipliers else Start(moved.x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,29 @@ Array = npt.NDArray[np.float64]
 
 
 class Numbers:
-    """The instance data of one solve."""
+    """The instance data of one solve.
 
-    def __init__(self, model: Model, program: Program, network: PerUnitNetwork) -> None:
+    Parameters
+    ----------
+    network
+        Arrays of the network with the series of all stages of the program.
+    begin
+        Stage of the program at which the plan begins; see :mod:`opfmodel.plan.shrinking`.
+    freed
+        Rows that are not in force.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        program: Program,
+        network: PerUnitNetwork,
+        begin: int = 0,
+        freed: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
         self.model = model
         self.program = program
+        self.begin, self.freed = begin, freed
         self.parameters: dict[str, Array] = {
             name: number_of(resolved(network.tables[kind], value), network)
             for name, (kind, value) in model.parameters.items()
@@ -65,12 +84,21 @@ class Numbers:
                 )
         if (state.role == "stock" or delay == 1) and values is not None:
             lower, upper = self._bounds(name)
-            lower[:, 0] = upper[:, 0] = values
+            lower[:, self.begin] = upper[:, self.begin] = values
+            if state.role == "stock":  # a cyclic end refers to the first point
+                lower[:, 0] = upper[:, 0] = values
+        elif state.role == "stock" and self.begin and len(self.model.network.tables[state.kind]):
+            raise ModelError(
+                f"initial {name}: must be given for a plan that ends with the data (at_end = 'shrink')"
+            )
         if f"{name}_ramp_first" in self.program.rows:
-            if values is None or delay == 1:
+            given = values is not None and delay == 0
+            columns = np.arange(self.program.rows[f"{name}_ramp_first"].stages)
+            if not given or columns.size > 1:
                 lower, upper = self._bounds(f"{name}_ramp_first")
-                lower[:], upper[:] = -np.inf, np.inf
-            else:
+                free = columns != self.begin if given else columns >= 0
+                lower[:, free], upper[:, free] = -np.inf, np.inf
+            if values is not None and delay == 0:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End) -> None:
@@ -87,9 +115,21 @@ class Numbers:
             self.parameters[f"{name}_end_price"] = np.array([price])
 
     def limit(self, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike) -> None:
-        """Set the bounds of a block; they broadcast to ``(items, stages)``."""
-        self.lower[name], self.upper[name] = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        """Set the bounds of a block; they broadcast to the items and the stages of the plan."""
+        low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        if self.begin and (low.ndim or high.ndim):
+            every = self._bounds(name)
+            every[0][:, self.begin :], every[1][:, self.begin :] = low, high
+        else:
+            self.lower[name], self.upper[name] = low, high
 
     def instance(self) -> Instance:
         """Return the instance of the program."""
-        return self.program.instance(self.parameters, self.lower, self.upper)
+        instance = self.program.instance(self.parameters, self.lower, self.upper)
+        if self.freed is None or not self.freed.any():
+            return instance
+        return replace(
+            instance,
+            row_lower=np.where(self.freed, -np.inf, instance.row_lower),
+            row_upper=np.where(self.freed, np.inf, instance.row_upper),
+        )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
@@ -59,13 +61,18 @@ class Plan:
         self.network = network
 
     def __repr__(self) -> str:
-        cost = f", {self.objective:.6g} $" if self.optimal else ""
+        cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
         return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
 
     @property
     def time(self) -> int:
         """First step of the plan."""
         return self.request.time
+
+    @property
+    def stages(self) -> int:
+        """Number of stages: the horizon, unless the plan ends earlier, with the data."""
+        return self.problem.horizon - self.solution.skipped
 
     @property
     def status(self) -> str:
@@ -122,7 +129,7 @@ class Plan:
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """Return the limit violations of an elastic plan, p.u., in the form of :meth:`quantities`."""
-        network, stages = self.network, self.problem.horizon
+        network, stages = self.network, self.stages
         return {
             (slack.kind, name): slack.spread(
                 self.solution.value(name), len(network.tables[slack.kind]), stages
@@ -148,12 +155,17 @@ class Plan:
         if prices is None or not self.short:
             return ()
         slacks, step = self.model.slacks.values(), self.problem.step
-        return shortages(slacks, shortfall_due(self), self.network, prices, step, self.times)
+        return shortages(slacks, shortfall_due(self), self.network, prices, step, self._moments)
 
     @property
     def penalty(self) -> float:
         """Penalty of the shortfalls of an elastic plan, $; 0 if every limit is hard."""
-        return sum(float(self.solution.value(name).sum()) for name in penalty_outputs(self.model))
+        return _penalty(self.model, self.solution)
+
+    @property
+    def program_penalty(self) -> float:
+        """Penalty of the whole program, $, with stages before a plan that ends with the data."""
+        return _penalty(self.model, replace(self.solution, skipped=0))
 
     def next_state(self, happened: Mapping[tuple[str, str], Array] | None = None) -> dict[str, Array]:
         """Return the states after the first stage, in physical units.
@@ -177,9 +189,9 @@ class Plan:
             name = f"{state.name}_next" if state.role == "stock" else state.name
             if happened is not None and (state.role == "stock" or not committed):
                 values = happened[state.kind, name]
-            elif state.role == "stock" or not committed:
+            elif state.role == "stock" or not committed or self.stages == 1 < self.problem.horizon:
                 values = self.solution.value(name)[:, 0]
-            elif self.problem.horizon == 1:
+            elif self.stages == 1:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:
                 values = self.solution.value(name)[:, 1]
@@ -203,7 +215,7 @@ class Plan:
         ]
 
     def _points(self, name: str) -> Array:
-        return self.solution.program.variables[name].read(self.solution.x)
+        return self.solution.variable(name)
 
     @cached_property
     def data(self) -> xr.Dataset:
@@ -215,7 +227,7 @@ class Plan:
             name: (kind, *described[name], array)
             for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
-        made = dataset(self.network, values, self.times)
+        made = dataset(self.network, values, self._moments)
         made.attrs |= {
             "network": self.network.name,
             "formulation": self.problem.formulation.name,
@@ -254,9 +266,16 @@ class Plan:
 
     @property
     def times(self) -> Array:
-        """Hours at which the stages begin."""
-        stages = np.arange(self.problem.horizon, dtype=float)
-        return (self.time + stages) * self.problem.step
+        """Hours at which the stages begin, counted from step 0."""
+        return self._moments.hours
+
+    @property
+    def _moments(self) -> Times:
+        return self.problem.times(self.time, self.stages)
+
+
+def _penalty(model: Model, solution: Solution) -> float:
+    return sum(float(solution.value(name).sum()) for name in penalty_outputs(model))
 
 
 def penalty_outputs(model: Model) -> list[str]:

@@ -17,9 +17,9 @@ from opfmodel.plan.result import Plan
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["Nothing", "limit_shortage", "without_outbidding"]
+__all__ = ["SHORTAGE", "Nothing", "limit_shortage", "without_outbidding"]
 
-_CEILING = "shortage"  # name of the row that limits the penalty
+SHORTAGE = "shortage"  # name of the row that limits the penalty
 
 # Both are relative and, in p.u. h, absolute: the tolerance within which two penalties are equal, and the
 # margin that a limit on the penalty leaves to the solver, which must exceed the solver's tolerance.
@@ -50,7 +50,7 @@ class Nothing(Objective):
 
 def limit_shortage(model: Model) -> None:
     """Add a row with the penalty of all stages, in p.u. h of the cheapest kind; free until limited."""
-    rows = model.build.rows(_CEILING, 1, 1, -np.inf, np.inf)
+    rows = model.build.rows(SHORTAGE, 1, 1, -np.inf, np.inf)
     for cost in model.penalties:
         model.build.add(cost / _unit(model), into=rows)
 
@@ -71,10 +71,10 @@ def without_outbidding(problem: MultiStage, plan: Plan) -> Plan:
         note = f"the minimum shortfall is not known: {least.termination}"
         return _with_effort(problem, plan, [least], note)
     unit = _unit(plan.model)
-    if plan.optimal and plan.penalty <= (1.0 + _SAME) * least.penalty + _SAME * unit:
+    if plan.optimal and plan.program_penalty <= (1.0 + _SAME) * least.program_penalty + _SAME * unit:
         return _with_effort(problem, plan, [least])
-    ceiling = (1.0 + _SLACK) * least.penalty / unit + _SLACK
-    cheapest = rationed.solve_once(plan.request, limits={_CEILING: (-np.inf, ceiling)})
+    ceiling = (1.0 + _SLACK) * least.program_penalty / unit + _SLACK
+    cheapest = rationed.solve_once(plan.request, limits={SHORTAGE: (-np.inf, ceiling)})
     if not cheapest.optimal:
         note = f"the cheapest plan with this shortfall was not found: {cheapest.termination}"
         return _with_effort(problem, least, [plan, cheapest], note)

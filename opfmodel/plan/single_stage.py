@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.network.arrays import per_unit
@@ -39,13 +40,13 @@ class SingleStageSequence:
         Optima of the distinct steps, as the stages of one plan.
     stage
         Stage of the plan for each step.
-    step
-        Hours per step.
+    times
+        Beginnings of the steps.
     """
 
     plan: Plan
     stage: Index
-    step: float
+    times: Times
     _network: Network
 
     @property
@@ -62,13 +63,12 @@ class SingleStageSequence:
     @property
     def cost(self) -> float:
         """Total cost of all steps, $."""
-        return float(self.cost_rate.sum()) * self.step
+        return float(self.cost_rate.sum()) * self.times.step
 
     @cached_property
     def data(self) -> xr.Dataset:
         """Quantities and demand of all steps in physical units."""
-        times = np.arange(self.stage.size) * self.step
-        return self.plan.data.isel(time=self.stage).assign_coords(time=times)
+        return self.plan.data.isel(time=self.stage).assign_coords(time=self.times.coordinate())
 
     def setpoints(self, share: float = 0.5) -> Setpoints:
         """Return set-points for :class:`opfmodel.SetpointTracking`.
@@ -163,7 +163,8 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
                     f"single-stage optimum of step {start + step}: {alone.status} ({alone.termination})"
                 )
         raise ModelError(f"single-stage optima: {plan.status} ({plan.termination})")
-    return SingleStageSequence(plan, stage, problem.step, problem.network)
+    times = Times(0, steps, problem.step, window.calendar)
+    return SingleStageSequence(plan, stage, times, problem.network)
 
 
 def _alone(network: Network) -> Network:

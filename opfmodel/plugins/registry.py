@@ -139,6 +139,7 @@ def make(
     options: Mapping[str, Any],
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
     beside: Iterable[str] = (),
+    context: object = None,
 ) -> Any:
     """Construct a plugin from the options of a file.
 
@@ -150,6 +151,8 @@ def make(
         Functions that convert file values, by the annotated type of the option.
     beside
         Other keys next to the options in the file, suggested for misspelt options.
+    context
+        What annotations of the options need to validate values, such as the basis of quantities with units.
 
     Raises
     ------
@@ -166,7 +169,7 @@ def make(
         for p in inspect.signature(cls).parameters.values()
         if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
     }
-    hints = get_type_hints(cls.__init__)
+    hints = get_type_hints(cls.__init__, include_extras=True)
     checked = {}
 
     def errors() -> Iterator[PluginError]:
@@ -179,7 +182,8 @@ def make(
             converter = (convert or {}).get(hint)
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
             try:
-                checked[key] = adapter.validate_python(value if converter is None else converter(value))
+                plain = value if converter is None else converter(value)
+                checked[key] = adapter.validate_python(plain, context=context)
             except ValidationError as error:
                 fault = error.errors()[0]
                 path, at = _path(value, fault["loc"])

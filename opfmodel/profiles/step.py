@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from typing import Annotated
 
 import numpy as np
 
 from opfmodel.errors import ProfileError, ProfileWarning
+from opfmodel.network.quantities import In
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Step"]
@@ -35,7 +37,7 @@ class Step(ProfileRule):
         loads: list[str],
         first: int,
         last: int,
-        add: float | None = None,
+        add: Annotated[float | None, In("MW")] = None,
         factor: float | None = None,
     ) -> None:
         if (add is None) == (factor is None):

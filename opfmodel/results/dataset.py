@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.quantities import in_currency
 from opfmodel.network.units import scale
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ DEMAND = {"pd": ("p", "MW", "active"), "qd": ("q", "MVAr", "reactive")}
 
 
 def dataset(
-    network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Array
+    network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Times
 ) -> xr.Dataset:
     """Build a dataset in physical units from per-unit arrays.
 
@@ -35,7 +37,7 @@ def dataset(
         ``(kind, unit, description, values)`` by name, with values of shape ``(items, stages)``. The
         kind "" means the entire system. The items of a kind that the network lacks are numbered.
     times
-        Start of each stage, h.
+        Start of each stage.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def dataset(
     """
     import xarray as xr
 
-    made = xr.Dataset(coords={"time": ("time", times, {"units": "h", "long_name": "start of the stage"})})
+    made = xr.Dataset(coords={"time": times.coordinate()})
     made = made.assign_coords({"bus": list(network.bus.names)})
     for kind, _, _, values in quantities.values():
         if kind and kind not in made.coords:
@@ -54,12 +56,12 @@ def dataset(
                 at = [network.bus.names[b] for b in table.bus]
                 made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
-        name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times)))
+        name: ("bus", unit, f"{sort} demand", _demand(network, field, times.stages))
         for name, (field, unit, sort) in DEMAND.items()
     }
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():
         physical = values * scale(unit, network.base_mva)
-        attributes = {"units": unit, "long_name": description}
+        attributes = {"units": in_currency(unit, network.currency), "long_name": description}
         made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
     return made
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from opfmodel.data.calendar import zone_of
 from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError, nearest
 
@@ -53,8 +55,8 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     if "cost_rate" in data:
         axis = next(panels)
         _steps(axis, data, data["cost_rate"].values, label="cost", color=_COLOURS[3])
-        axis.set_ylabel("cost [$/h]")
-    _legend(figure)
+        axis.set_ylabel(f"cost [{data['cost_rate'].attrs['units']}]")
+    _finish(figure, data)
     return figure
 
 
@@ -69,7 +71,7 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     axes[0].set_ylabel("demand [MW], [MVAr]")
     _steps(axes[1], data, _total(data, "pd"), label="all buses", color=_COLOURS[6], linestyle="-.")
     axes[1].set_ylabel("total demand [MW]")
-    _legend(figure)
+    _finish(figure, data)
     return figure
 
 
@@ -103,7 +105,7 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
         axis.set_ylabel(label)
     if {"qg", "qs"} & set(data):
         _key(axes[0])
-    _legend(figure)
+    _finish(figure, data)
     return figure
 
 
@@ -163,7 +165,6 @@ def _figure(rows: int) -> tuple[Figure, list[Any]]:
     for axis in axes:
         axis.grid(alpha=0.3, linewidth=0.5)
         axis.margins(x=0.01)
-    axes[-1].set_xlabel("time [h]")
     return figure, axes
 
 
@@ -188,9 +189,33 @@ def _key(axis: Any) -> None:
 
 
 def _ends(data: xr.Dataset) -> Any:
-    """Start of each stage and end of the last, h."""
+    """Start of each stage and end of the last: hours, or times in UTC."""
     times = data["time"].values
-    return np.append(times, times[-1] + _step_hours(data))
+    step: Any = _step_hours(data)
+    if _dated(data):
+        step = np.timedelta64(round(3_600_000_000_000 * step), "ns")
+    return np.append(times, times[-1] + step)
+
+
+def _dated(data: xr.Dataset) -> bool:
+    """Whether the stages have time stamps."""
+    return bool(np.issubdtype(data["time"].dtype, np.datetime64))
+
+
+def _finish(figure: Figure, data: xr.Dataset) -> None:
+    """Add the legend, and label the axis of time: hours, or dates in the zone of the data."""
+    last = figure.axes[-1]
+    if _dated(data):
+        dates: Any = import_module("matplotlib.dates")
+        name = str(data["time"].attrs.get("zone", "UTC"))
+        zone = zone_of(name)
+        locator = dates.AutoDateLocator(tz=zone)
+        last.xaxis.set_major_locator(locator)
+        last.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=zone))
+        last.set_xlabel(f"time [{name}]")
+    else:
+        last.set_xlabel("time [h]")
+    _legend(figure)
 
 
 def _total(data: xr.Dataset, quantity: str) -> Any:

@@ -18,8 +18,10 @@ from opfmodel.errors import (
     PluginError,
     ProfileError,
     ScenarioError,
+    UnitError,
     name_fault,
     nearest,
+    raise_all,
     shown,
 )
 from opfmodel.network.arrays import per_unit
@@ -29,6 +31,8 @@ from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network, name_pattern
+from opfmodel.network.quantities import CURRENCY, Basis, is_quantity, read_quantity
+from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document, Key, colon_hint
 
 __all__ = ["Declarations", "component_kinds"]
@@ -40,6 +44,11 @@ class Declarations:
     Every fault is collected. A component with a fault is in the network with stand-ins for its values,
     so that what refers to it by name can be checked.
 
+    Parameters
+    ----------
+    currency
+        Name of the currency of the scenario.
+
     Attributes
     ----------
     complete
@@ -48,9 +57,10 @@ class Declarations:
 
     _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
 
-    def __init__(self, document: Document, section: dict[str, Any]) -> None:
+    def __init__(self, document: Document, section: dict[str, Any], currency: str = CURRENCY) -> None:
         self.document = document
         self.section = section
+        self.currency = currency
         self.faults = document.faults
         self.complete = not self.faults.broken("network")
         kinds, self.broken = component_kinds()
@@ -66,6 +76,8 @@ class Declarations:
                 self._refuse((key,), f"unknown key{hint}")
                 self.complete = False
         network = self._start(name)
+        network.set_currency(self.currency)
+        self.basis = Basis(self.currency, network.base_mva)
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
                 self._declare(network, self.kinds[plural], component, fields)
@@ -135,19 +147,28 @@ class Declarations:
         return network
 
     def _empty(self, name: str) -> Network:
-        named, base_mva = self.section.get("name", name), self._sound("base_mva")
+        named, base_mva = self.section.get("name", name), self._number("base_mva", "MVA")
         if not isinstance(named, str) or name_fault(named):
             self._refuse(("name",), f"{shown(named)}: must be text of visible characters")
             named = name
         with self.document.located("network", "base_mva"):
             return Network(named, 100.0 if base_mva is None else base_mva)
 
-    def _sound(self, key: str) -> Any:
-        """Return a value of the section; None in place of one in which there is a fault."""
-        return None if self.faults.broken("network", key) else self.section.get(key)
+    def _number(self, key: str, unit: str) -> Any:
+        """Return the value of a key, in its unit if it is text with one; None if there is a fault in it."""
+        value = self.section.get(key)
+        if self.faults.broken("network", key):
+            return None
+        if not is_quantity(value):
+            return value
+        try:
+            return read_quantity(value, unit, Basis(self.currency))
+        except UnitError as fault:
+            self._refuse((key,), f"{shown(value)}: {fault}")
+        return None
 
     def _read(self) -> Network:
-        file, price = self.section.get("file"), self._sound("default_cost")
+        file, price = self.section.get("file"), self._number("default_cost", "$/MWh")
         lossy = self.section.get("lossy", False)
         if self.section.get("base_mva") is not None:
             self._refuse(("base_mva",), "cannot be combined with file, which sets it")
@@ -187,7 +208,7 @@ class Declarations:
         for name, values in self._expanded(network, kind, pattern, fields):
             if not self.faults.broken("network", kind.plural, pattern):
                 with self.faults, self._fields(kind.plural, pattern):
-                    network.add(name, kind.from_mapping(name, self._shares(kind, pattern, values)))
+                    network.add(name, kind.from_mapping(name, self._plain(kind, pattern, values)))
             if name not in network:
                 self._stand_in(network, name, kind, values)
 
@@ -236,7 +257,7 @@ class Declarations:
             if self.faults.broken(*self._key(member)):
                 continue  # a stand-in
             with self.faults, self._fields("update", pattern):
-                network.update(member, **self._shares(type(old), member, fields, plain))
+                network.update(member, **self._plain(type(old), member, fields, plain))
 
     @contextmanager
     def _fields(self, section: str, name: str) -> Iterator[None]:
@@ -254,18 +275,34 @@ class Declarations:
         value = "" if error.value is None else f"{shown(error.value)}: "
         return self.document.fault(("network", section, name, error.field), f"{value}{error.rule}", error)
 
-    @staticmethod
-    def _shares(
-        kind: type[Component], name: str, fields: dict[str, Any], others: Mapping[str, Any] | None = None
+    def _plain(
+        self,
+        kind: type[Component],
+        name: str,
+        fields: dict[str, Any],
+        others: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Replace shares such as ``10% of p_max`` with numbers."""
-        known = {k: v for k, v in {**(others or {}), **fields}.items() if not _SHARE.fullmatch(str(v))}
-        resolved = dict(fields)
+        """Replace quantities such as ``200 MWh`` and shares such as ``10% of p_max`` with numbers."""
+        plain, errors = dict(fields), []
+        for key, value in fields.items():
+            try:
+                plain |= without_units(kind, name, {key: value}, self.basis)
+            except ComponentError as error:
+                errors.append(error)
+        wrong = {error.field for error in errors}
+        known = {k: v for k, v in {**(others or {}), **plain}.items() if not _SHARE.fullmatch(str(v))}
         for key, value in fields.items():
             match = _SHARE.fullmatch(value) if isinstance(value, str) else None
             if match:
-                resolved[key] = _share(kind.from_mapping(name, known), name, key, match)
-        return resolved
+                try:
+                    plain[key] = _share(kind.from_mapping(name, known), name, key, match)
+                except ComponentError as error:
+                    errors.append(error)
+                    wrong.add(key)
+        if errors:
+            errors += kind.errors_of_mapping(name, {**(others or {}), **plain}, wrong)
+        raise_all(errors)
+        return plain
 
 
 _SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")

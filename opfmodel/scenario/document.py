@@ -28,6 +28,7 @@ from opfmodel.errors import (
     nearest,
     shown,
 )
+from opfmodel.network.quantities import Basis
 from opfmodel.scenario.overlay import schemas
 from solvers import SolverError
 
@@ -157,10 +158,15 @@ def read_document(path: str | Path) -> Document:
     return Document(path, content, place, faults)
 
 
-def validated(document: Document, content: Any, model: type[Model]) -> Model:
+def validated(document: Document, content: Any, model: type[Model], basis: Basis | None = None) -> Model:
     """Validate the content of a document, with overrides applied, against a schema.
 
     Faults are collected; what is invalid has its default in the result.
+
+    Parameters
+    ----------
+    basis
+        What the values of quantities with units depend on.
 
     Raises
     ------
@@ -170,7 +176,7 @@ def validated(document: Document, content: Any, model: type[Model]) -> Model:
     faults = document.faults
     for _ in range(_MOST_ROUNDS):
         try:
-            return model.model_validate(content)
+            return model.model_validate(content, context=basis)
         except ValidationError as error:
             entries = [(_path(content, fault), fault) for fault in error.errors()]
         found = sorted(_separated(entries), key=lambda entry: entry[1][0]["type"] == "missing")

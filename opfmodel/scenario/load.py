@@ -16,6 +16,7 @@ from opfmodel.data.yaml import MOST_LEVELS, Place
 from opfmodel.errors import ScenarioError, nearest, shown
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
+from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import End, MultiStage
@@ -72,7 +73,7 @@ def load_scenario(
         document = document.over(("variants", variant))
     document = document.laid(_places(document, overrides or {}, places or {}))
     _check_numbers(document, content)
-    settings = validated(document, content, ScenarioFile)
+    settings = validated(document, content, ScenarioFile, _basis(content))
     name = document.path.stem if settings.name is None else settings.name
     check_name(document, ("name",), name)
     for each in settings.variants:
@@ -82,6 +83,12 @@ def load_scenario(
     document.faults.settle()
     assert scenario is not None
     return scenario
+
+
+def _basis(content: Mapping[str, Any]) -> Basis:
+    """Return what the values of quantities depend on; a currency that is none is found by the schema."""
+    currency = content.get("currency", CURRENCY)
+    return Basis(CURRENCY if currency_fault(currency) else currency)
 
 
 def _places(
@@ -103,15 +110,15 @@ class _Reader:
         """Return the scenario; None if there is a fault."""
         document, settings, faults = self.document, self.settings, self.document.faults
         scenario: Scenario | None = None
-        declarations = Declarations(document, settings.network)
+        declarations = Declarations(document, settings.network, settings.currency)
         network = declarations.network(name)
         declarations.check(network)
-        cost = make_objective(document, ("cost",), settings.cost)
+        cost = make_objective(document, ("cost",), settings.cost, settings.basis)
         calendar = None
         if declarations.complete and not faults.broken("time"):
             with faults:
                 settings, calendar = settled(document, settings, network)
-        rules = make_rules(document, settings)
+        rules = make_rules(document, settings, network)
         forecast = make_forecast(document, settings)
         constraints = read_constraints(document, settings)
         plant = self._plant()

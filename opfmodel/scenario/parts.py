@@ -19,6 +19,7 @@ from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
+from opfmodel.network.quantities import Basis
 from opfmodel.network.series import check_finite, check_series
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.economic import Economic
@@ -48,9 +49,9 @@ class Rule:
     rule: ProfileRule
 
 
-def make_rules(document: Document, settings: ScenarioFile) -> list[Rule]:
+def make_rules(document: Document, settings: ScenarioFile, network: Network) -> list[Rule]:
     """Create the profile rules, without those that have a fault."""
-    rules = []
+    rules, basis = [], settings.basis._replace(base_mva=network.base_mva)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
         if document.faults.broken(*key):
@@ -58,7 +59,8 @@ def make_rules(document: Document, settings: ScenarioFile) -> list[Rule]:
         with document.faults:
             name, options = _single(document, key, spec)
             with document.located(*key, name):
-                rules.append(Rule((*key, name), plugins.make("profile", name, options)))
+                made = plugins.make("profile", name, options, context=basis)
+                rules.append(Rule((*key, name), made))
     return rules
 
 
@@ -158,6 +160,7 @@ def make_objective(
     document: Document,
     key: tuple[str | int, ...],
     spec: Spec,
+    basis: Basis,
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
 ) -> Objective:
     """Create an objective, or the weighted sum of several; the default in place of one with a fault.
@@ -166,6 +169,8 @@ def make_objective(
     ----------
     key
         Path of keys to it in the file.
+    basis
+        What the values of quantities with units depend on.
     convert
         Converters from values of the file to objects, by type; see :func:`opfmodel.plugins.make`.
     """
@@ -176,13 +181,13 @@ def make_objective(
         with document.faults:
             name, options = _single(document, key, spec)
             with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
-                made = plugins.make("objective", name, options, convert)
+                made = plugins.make("objective", name, options, convert, context=basis)
         return made
     parts: list[tuple[float, Objective]] = []
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        made = make_objective(document, (*key, number), rest, convert)
+        made = make_objective(document, (*key, number), rest, basis, convert)
         with document.faults, document.located(*key, number, "weight"):
             parts.append((number_within("weight", weight, at_least=0), made))
     if not spec:
@@ -198,7 +203,11 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None
         name, options = _single(document, ("forecast",), settings.forecast)
         with document.located("forecast", *((name,) if isinstance(settings.forecast, dict) else ())):
             made: Forecast = plugins.make(
-                "forecast", name, options, {Path: lambda value: document.path.parent / str(value)}
+                "forecast",
+                name,
+                options,
+                {Path: lambda value: document.path.parent / str(value)},
+                context=settings.basis,
             )
             return made
     return None
@@ -207,7 +216,9 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None
 def make_plant(settings: ScenarioFile) -> Plant:
     """Create the plant of a closed loop, without history."""
     section = settings.plant
-    made = plugins.make("plant", section.mode, section.model_extra or {}, beside=("mode",))
+    made = plugins.make(
+        "plant", section.mode, section.model_extra or {}, beside=("mode",), context=settings.basis
+    )
     assert isinstance(made, Plant)
     return made
 
@@ -233,7 +244,9 @@ def planned_objective(
     def setpoints(value: Any) -> Setpoints:
         return _setpoints(value, document, settings.length, network, single_stages)
 
-    return make_objective(document, ("controller", "objective"), stated, {Setpoints: setpoints})
+    return make_objective(
+        document, ("controller", "objective"), stated, settings.basis, {Setpoints: setpoints}
+    )
 
 
 def _setpoints(

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, mo
 
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
+from opfmodel.network.quantities import CURRENCY, Basis, In, currency_fault
 from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
@@ -43,20 +44,24 @@ class Section(BaseModel):
 class TimeSection(Section):
     start: str | None = Field(None, description="beginning of the first step, ISO 8601")
     zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
-    step: float = Field(1.0, ge=STEP_HOURS[0], le=STEP_HOURS[1], description="hours")
+    step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = 1.0
     steps: int = Field(1, ge=1)
 
 
 class EndSection(Section):
     cyclic: bool = False
     minimum: float = Field(0.0, ge=0, le=1)
-    price: float = 0.0
+    price: Annotated[float, In("$/MWh")] = 0.0
+
+
+Price = Annotated[float, Field(gt=0, allow_inf_nan=False), In("$/MWh")]
+Cost = Annotated[float | None, In("$")]
 
 
 class ElasticSection(Section):
-    limit: float = Field(Elastic.limit, gt=0, allow_inf_nan=False, description="$/MWh")
-    shedding: float = Field(Elastic.shedding, gt=0, allow_inf_nan=False)
-    balance: float = Field(Elastic.balance, gt=0, allow_inf_nan=False)
+    limit: Price = Elastic.limit
+    shedding: Price = Elastic.shedding
+    balance: Price = Elastic.balance
 
 
 class SolverSection(Section):
@@ -96,10 +101,10 @@ class PlantSection(BaseModel):
 
 class PublishedSection(Section):
     source: str
-    J_e: float | None = Field(None, description="$")
-    J_s: float | None = None
-    J_t: float | None = None
-    J_b: float | None = None
+    J_e: Cost = None
+    J_s: Cost = None
+    J_t: Cost = None
+    J_b: Cost = None
 
 
 class ScenarioFile(Section):
@@ -107,6 +112,7 @@ class ScenarioFile(Section):
 
     name: str | None = None
     description: str = ""
+    currency: str = CURRENCY
     network: Annotated[dict[str, Any], _COSTS]
     time: TimeSection = Field(default_factory=TimeSection)
     profiles: List = Field(default_factory=list)
@@ -118,6 +124,13 @@ class ScenarioFile(Section):
     published: PublishedSection | None = None
     variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
+    @field_validator("currency")
+    @classmethod
+    def _of_currency(cls, name: str) -> str:
+        if fault := currency_fault(name):
+            raise ValueError(fault)
+        return name
+
     @field_validator("variants", mode="before")
     @classmethod
     def _few(cls, variants: Any) -> Any:
@@ -127,6 +140,11 @@ class ScenarioFile(Section):
                 "a study has no such limit"
             )
         return variants
+
+    @property
+    def basis(self) -> Basis:
+        """What the values of quantities with units depend on, besides the power base."""
+        return Basis(self.currency)
 
     @property
     def length(self) -> int:

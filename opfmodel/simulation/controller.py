@@ -87,6 +87,7 @@ class Controller:
         self.elastic = Elastic() if elastic is None else elastic
         self.attempts: list[Attempt] = []
         self._last: Plan | None = None
+        self._repeated = problem.profiles
 
     def begin(self) -> None:
         """Start a run and discard the history of the last one."""
@@ -138,7 +139,8 @@ class Controller:
         if self.forecast is None:
             return None
         problem = self.problem
-        expected = Profiles.of(self.forecast.expected(problem.profiles, time, problem.horizon))
+        stages = problem.stages_from(time)
+        expected = Profiles.of(self.forecast.expected(self._actual(time + stages), time, stages))
         where = f"forecast {type(self.forecast).__name__} at step {time}"
         differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
         if differing:
@@ -150,8 +152,14 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
-        ahead = window(expected, problem.arrays, 0, problem.horizon)
+        ahead = window(expected, problem.arrays, 0, stages)
         if ("generator", "p_max") in ahead:  # never below minimum output
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
             ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
         return ahead
+
+    def _actual(self, steps: int) -> Profiles:
+        """Return the realised series; with at least ``steps`` values if they repeat."""
+        if self.problem.at_end == "repeat" and (self._repeated.length or steps) < steps:
+            self._repeated = self.problem.profiles.repeated(steps)
+        return self._repeated

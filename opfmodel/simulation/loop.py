@@ -95,7 +95,7 @@ def simulate(
                 run.plans.append(_record(plan, controller, clock.perf_counter() - began))
                 if not plan.optimal:
                     run.status, run.infeasible = plan.status, plan.infeasible
-                    run.termination = f"step {time}: {plan.termination}"
+                    run.termination = f"{problem.step_name(time)}: {plan.termination}"
                     break
                 with interruptible():
                     step = plant.apply(plan)

@@ -55,7 +55,7 @@ class Run:
     _finished: xr.Dataset | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} $"
+        cost = "no cost" if np.isnan(self.cost) else f"{self.cost:.6g} {self.problem.network.currency}"
         return f"Run({self.problem.network.name!r}: {len(self.steps)} steps, {self.status}, {cost})"
 
     def finish(self) -> None:
@@ -66,7 +66,7 @@ class Run:
             self.status = "unsolved"
             self.termination = (
                 f"the plant found no solution in {len(unsolved)} of {len(self.steps)} steps, "
-                f"first in step {first}: {self.steps[first].status}"
+                f"first in {self.problem.step_name(first)}: {self.steps[first].status}"
             )
         else:
             self.status, self.termination = "done", "all steps done"
@@ -120,9 +120,10 @@ class Run:
         rate = self._cost_rate(stage)
         described = {name: text for step in self.steps for name, text in step.described.items()}
         quantities = {name: (kind, *described[name], stage.values[kind, name]) for kind, name in stage.values}
-        made = dataset(stage.network, quantities, np.arange(len(self.steps), dtype=float) * self.problem.step)
-        made["cost_rate"] = ("time", rate, {"units": "$/h", "long_name": "stage cost"})
-        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", "$")):
+        made = dataset(stage.network, quantities, self.problem.times(0, len(self.steps)))
+        currency = stage.network.currency
+        made["cost_rate"] = ("time", rate, {"units": f"{currency}/h", "long_name": "stage cost"})
+        for key, unit in (("solve_seconds", "s"), ("iterations", ""), ("plan_objective", currency)):
             values = np.array([plan[key] for plan in self.plans[: len(self.steps)]], dtype=float)
             made[key] = ("time", values, {"units": unit, "long_name": key.replace("_", " ")})
         for key, words in (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel.errors import OpfmodelError
+from opfmodel.network.quantities import CURRENCY
 from opfmodel.scenario import Scenario, load_scenario
 from opfmodel.simulation import Run
 
@@ -30,18 +31,21 @@ class Comparison:
     Attributes
     ----------
     costs
-        Costs in $ by ``J_e``, ``J_s``, ``J_t``, ``J_b``; None if the scenario lacks the variant or a
+        Costs by ``J_e``, ``J_s``, ``J_t``, ``J_b``; None if the scenario lacks the variant or a
         step failed.
     published
         Published costs that the scenario states.
     failures
         Errors behind missing costs, by name of the cost.
+    currency
+        Name of the currency of the costs.
     """
 
     scenario: str
     costs: Mapping[str, float | None]
     published: Mapping[str, float]
     failures: Mapping[str, str]
+    currency: str = CURRENCY
 
     def as_dict(self) -> dict[str, Any]:
         """The comparison as plain data."""
@@ -50,6 +54,7 @@ class Comparison:
             **self.costs,
             "published": dict(self.published),
             "failures": dict(self.failures),
+            "currency": self.currency,
         }
 
     def difference(self, name: str) -> float | None:
@@ -100,11 +105,11 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     for name, variant in _VARIANTS.items():
         if variant in scenario.settings.variants:
             loop(name, load_scenario(path, variant))
-    return Comparison(scenario.name, costs, scenario.published, failures)
+    return Comparison(scenario.name, costs, scenario.published, failures, scenario.network.currency)
 
 
 def rows(comparisons: list[Comparison]) -> list[list[str]]:
-    """Format comparisons in k$: rows of computed costs, published costs and differences."""
+    """Format costs in thousands: rows of computed costs, published costs and differences."""
     table = []
     for comparison in comparisons:
         table.append([comparison.scenario, *(_thousands(comparison.costs[name]) for name in COSTS)])
@@ -115,9 +120,14 @@ def rows(comparisons: list[Comparison]) -> list[list[str]]:
     return table
 
 
+def unit(comparisons: list[Comparison]) -> str:
+    """Return the unit of the rows: ``k$``, or several if the scenarios are in different currencies."""
+    return ", ".join(dict.fromkeys(f"k{comparison.currency}" for comparison in comparisons))
+
+
 def markdown(comparisons: list[Comparison]) -> str:
     """Format comparisons as a Markdown table."""
-    lines = [["k$", *COSTS], ["---", *("---:" for _ in COSTS)], *rows(comparisons)]
+    lines = [[unit(comparisons), *COSTS], ["---", *("---:" for _ in COSTS)], *rows(comparisons)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

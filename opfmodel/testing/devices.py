@@ -97,6 +97,8 @@ def _check_component(rules: Contract, device: Device, example: Component) -> Non
         example.check("example")
         rules.require(not strange, "its fields have known units", ", ".join(strange))
         rules.require(component.bus_fields(), "its component has a bus")
+    silent = [f.name for f in component.fields().values() if not f.metadata.get("description")]
+    rules.require(not silent, "its fields are described", ", ".join(silent))
     rules.require("in_service" in component.fields(), "its component has the field in_service")
 
 

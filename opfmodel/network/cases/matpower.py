@@ -42,6 +42,10 @@ COLUMNS = {
     }.items()
 }
 SCALARS = ("baseMVA", "version")
+# Columns of generators that a file may have after the required ones; only RAMP_30 is represented, and APF,
+# the share in an area's regulation, means nothing to a power flow or an optimum.
+_MORE_COLUMNS = "PC1 PC2 QC1MIN QC1MAX QC2MIN QC2MAX RAMP_AGC RAMP_10 RAMP_30 RAMP_Q APF"
+MORE_COLUMNS = tuple(_MORE_COLUMNS.split())
 HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel", "dclinecost"}
 
 EXACT = 2**53  # all integers up to this are exact in floating point
@@ -106,6 +110,8 @@ class CaseFile:
         reports whether they are evaluated.
     remarks
         Warnings for the user, with file and line.
+    losses
+        What opfmodel does not represent, with the line.
     """
 
     path: Path
@@ -113,16 +119,17 @@ class CaseFile:
     lines: dict[str, Sequence[int]] = field(default_factory=dict)
     changes: list[tuple[int, str]] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
 
     def place(self, table: str, row: int) -> str:
         """File and line of a table row."""
         return f"{self.path}:{self.lines[table][row]}"
 
     def unevaluated(self, statements: Sequence[tuple[int, str]]) -> str:
-        """Compose the warning that statements have no effect."""
+        """Describe the loss of statements that have no effect."""
         (line, code), *others = statements
-        more = f"; nor are those on lines {listed(str(n) for n, _ in others)}" if others else ""
-        return f"{self.path}:{line}: {_short(code)} is not evaluated{more}; the tables are used as written"
+        more = f" nor are those on lines {listed(str(n) for n, _ in others)}," if others else ""
+        return f"line {line}: {_short(code)} is not evaluated,{more} and the tables are used as written"
 
 
 def read_case(path: Path) -> CaseFile:
@@ -233,6 +240,8 @@ _OPENING = re.compile(r"(?:if|for|while|switch|try|parfor)\b")
 _CONSTANTS = re.compile(r"define_constants\s*")
 _END = re.compile(r"end\s*")
 _LAST = re.compile(r"(?:end|return)\s*")
+# Text, cells of text, and nothing at all, which mean nothing electrical.
+_TEXT = re.compile(r"""(?:'[^']*+'|"[^"]*+"|[\[{](?:'(?:[^']|'')*+'|"[^"]*+"|[\s;,]|%[^\n]*+)*+[]}])\s*+""")
 _VERSION = re.compile(r"(['\"]?)[12]\1")
 _NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[Ii]nf|NaN|nan)")
 
@@ -285,9 +294,9 @@ class _Parser:
             if name not in self.assigned:
                 raise CaseError(f"{self.case.path}: cannot be read as a network: mpc.{name} is missing")
         for name, line in self.unread.items():
-            self._remark(line, f"mpc.{name} is ignored")
+            self.case.losses.append(f"line {line}: mpc.{name} is not represented")
         if self.skipped:
-            self.case.remarks.append(self.case.unevaluated(self.skipped))
+            self.case.losses.append(self.case.unevaluated(self.skipped))
         self.case.text = "".join(self.parts.values())
         self.case.lines = {name: table.lines for name, table in self.tables.items()}
         return self.case
@@ -310,7 +319,7 @@ class _Parser:
         elif name in SCALARS:
             code = self._scalar(line, name, value.strip())
         else:
-            if name not in HARMLESS:
+            if name not in HARMLESS and not _TEXT.fullmatch(value):
                 self.unread.setdefault(name, line)
             return
         if name in self.changed:
@@ -439,6 +448,8 @@ class _Checks:
         self._buses()
         if "gencost" in self.tables:
             self._costs(self.tables["gencost"])
+        if len(self.tables.get("gen", ())):
+            self._capabilities(self.tables["gen"])
 
     def _columns(self, table: Table) -> None:
         """Check that all columns are present, and that bus numbers, types and states are integers."""
@@ -486,8 +497,23 @@ class _Checks:
         self._require(costs, "NCOST", counts >= pairs, "must be at least 2 for a piecewise-linear cost")
         self._require(costs, "NCOST", counts * pairs <= given, f"only {given} numbers follow in the row")
         if np.any(costs.values[generators:, fixed:]):
-            place = self.case.place("gencost", generators)
-            self.case.remarks.append(f"{place}: costs of reactive power are ignored")
+            line = costs.lines[generators]
+            self.case.losses.append(f"line {line}: mpc.gencost: costs of reactive power are not represented")
+
+    def _capabilities(self, units: Table) -> None:
+        """Report the columns of generators in service that are not represented and not zero."""
+        fixed = len(COLUMNS["gen"])
+        running = units.column("GEN_STATUS") > 0
+        for number, column in enumerate(MORE_COLUMNS, start=fixed):
+            if column in ("RAMP_30", "APF") or number >= units.values.shape[1]:
+                continue
+            values = units.values[:, number]
+            rows = np.flatnonzero(running & (values != 0) & np.isfinite(values))
+            if len(rows):
+                row = rows[0]
+                more = f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+                what = f"gen{row + 1}{more}: {column} = {values[row]:g} is not represented"
+                self.case.losses.append(f"line {units.lines[row]}: {what}")
 
     def _require(self, table: Table, column: str, sound: npt.NDArray[np.bool_], accepted: str) -> None:
         """Raise an error that names the first invalid row and its value."""

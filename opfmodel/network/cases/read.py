@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
+from opfmodel.network.cases.pandapower import read_pandapower
 from opfmodel.network.cases.powerio import read_powerio
 from opfmodel.network.cases.pypsa import read_pypsa
+from opfmodel.network.cases.simbench import read_simbench
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 
@@ -22,7 +24,7 @@ class _Reader(Protocol):
     ) -> Network | None: ...
 
 
-_READERS: Sequence[_Reader] = (read_pypsa,)
+_READERS: Sequence[_Reader] = (read_simbench, read_pandapower, read_pypsa)
 """Readers of single formats, in order; powerio reads the files that none of them knows, or refuses them."""
 
 
@@ -33,11 +35,13 @@ def read_network(
 
     Buses are named after their number or identifier, generators ``gen1, gen2, ...`` in file order,
     branches ``FROM-TO`` (with suffixes ``#2``, ``#3`` for parallel branches), and loads, shunts and
-    storages ``loadBUS``, ``shuntBUS`` and ``storageBUS``.
+    storages ``loadBUS``, ``shuntBUS`` and ``storageBUS``; readers of single formats, such as
+    :func:`opfmodel.from_pandapower`, keep the names of the file.
 
     Parameters
     ----------
     path
+        File, folder of a PyPSA CSV export, or a grid of SimBench, such as ``simbench:1-MV-rural--2-sw``.
         File, or folder of a PyPSA CSV export. PyPSA's folders and netCDF files are read with PyPSA, if it
         is installed, as by :func:`from_pypsa`.
     default_cost

@@ -8,26 +8,32 @@ from pathlib import Path
 
 from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
+from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
 __all__ = ["write_network"]
 
 
-def write_network(network: Network, path: str | Path) -> Path:
+def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> Path:
     """Write a network as a MATPOWER case, version 2.
 
     Buses keep their numbers if all names are positive integers, and are numbered from 1 otherwise.
-    Storages are written to the table ``mpc.storage`` of PowerModels. Data that the format cannot
-    represent are left out with a :class:`CaseWarning`.
+    Storages are written to the table ``mpc.storage`` of PowerModels.
+
+    Parameters
+    ----------
+    lossy
+        Whether data that the format cannot represent are left out with a :class:`CaseWarning`; otherwise
+        they are an error, and nothing is written.
 
     Raises
     ------
     CaseError
-        The file cannot be written, its name does not end in ``.m``, or the power range of a storage in
-        service does not include 0.
+        The file cannot be written, its name does not end in ``.m``, the power range of a storage in
+        service does not include 0, or something would be lost and ``lossy`` is false.
     """
     import powerio
 
@@ -37,17 +43,17 @@ def write_network(network: Network, path: str | Path) -> Path:
     names = network.of(Bus)
     plain = all(re.fullmatch("[1-9][0-9]{0,14}", name) for name in names)
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
+    losses = Losses(str(path), writing=True)
+    _find_losses(network, losses)
+    losses.settle(lossy)
     if not plain:
         warn(f"{path}: buses are numbered from 1 in order of declaration")
-    idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
-    if idle:
-        warn(f"{path}: {listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
     tables = {
         "version": 2,
         "baseMVA": network.base_mva,
         "bus": _bus_rows(network, ids),
-        "gen": [_generator_row(g, ids, network.base_mva) for g in network.of(Generator).values()],
-        "branch": [_branch_row(path, n, b, ids) for n, b in network.of(Branch).items()],
+        "gen": [_generator_row(g, names, ids, network.base_mva) for g in network.of(Generator).values()],
+        "branch": [_branch_row(b, ids) for b in network.of(Branch).values()],
         "gencost": _cost_rows(network.of(Generator).values()),
     }
     module = powerio.PioModule.from_value(powerio.from_ppc(tables))
@@ -62,6 +68,44 @@ def write_network(network: Network, path: str | Path) -> Path:
     return path
 
 
+def _find_losses(network: Network, losses: Losses) -> None:
+    """Report what a MATPOWER case cannot represent."""
+    for kind in network.kinds():
+        if kind not in BUILT_IN:
+            losses.add(f"{kind.plural} {listed(network.of(kind))}: MATPOWER has no such equipment")
+    if network.profiles:
+        losses.add(f"{len(network.profiles)} time series: a case holds constant values")
+    idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
+    if idle:
+        losses.add(f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
+    for name, b in network.of(Branch).items():
+        if b.g or b.g_from or b.g_to or b.b_from != b.b_to:
+            shunts = "branch shunt conductance or uneven charging"
+            losses.add(f"{name}: MATPOWER has no {shunts}; they are left out")
+    for name, storage in network.of(Storage).items():
+        if storage.standing_loss or storage.energy_min:
+            losses.add(f"{name}: standing_loss and energy_min are left out")
+        if storage.exclusive:
+            losses.add(f"{name}: exclusive is left out")
+    regulated = _regulated(network)
+    for name, generator in network.of(Generator).items():
+        if generator.in_service and generator.regulates != regulated[generator.bus]:
+            losses.add(
+                f"{name}: regulates = {str(generator.regulates).lower()}: "
+                "the generators at one bus all hold its voltage, or none does"
+            )
+
+
+def _regulated(network: Network) -> dict[str, bool]:
+    """Whether the generators at each bus hold its voltage; idle ones count where there are no others."""
+    regulated = {name: bus.reference for name, bus in network.of(Bus).items()}
+    running = {g.bus for g in network.of(Generator).values() if g.in_service}
+    for generator in network.of(Generator).values():
+        if generator.in_service or generator.bus not in running:
+            regulated[generator.bus] |= generator.regulates
+    return regulated
+
+
 def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
     demand = {name: [0.0, 0.0, 0.0, 0.0] for name in ids}
     for load in network.of(Load).values():
@@ -72,28 +116,39 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
         if shunt.in_service:
             demand[shunt.bus][2] += shunt.g
             demand[shunt.bus][3] += shunt.b
-    with_generator = {g.bus for g in network.of(Generator).values()}
+    regulated = _regulated(network)
     rows = []
     for name, bus in network.of(Bus).items():
-        kind = 4 if not bus.in_service else 3 if bus.reference else 2 if name in with_generator else 1
+        kind = 4 if not bus.in_service else 3 if bus.reference else 2 if regulated[name] else 1
         rows.append(
             [ids[name], kind, *demand[name], 1, 1.0, 0.0, bus.base_kv or 0.0, 1, bus.vm[1], bus.vm[0]]
         )
     return rows
 
 
-def _generator_row(generator: Generator, ids: Mapping[str, int], base_mva: float) -> list[float]:
+def _generator_row(
+    generator: Generator, buses: Mapping[str, Bus], ids: Mapping[str, int], base_mva: float
+) -> list[float]:
     (p_min, p_max), (q_min, q_max) = generator.p, generator.q
     ramp_30 = 0.0 if generator.ramp is None else generator.ramp / 2
-    row = [ids[generator.bus], max(p_min, 0.0), 0.0, q_max, q_min, 1.0, base_mva]
+    p, q, vm = (
+        _set_point(stated, default, limits)
+        for stated, default, limits in (
+            (generator.pg_set, 0.0, generator.p),
+            (generator.qg_set, 0.0, generator.q),
+            (generator.vm_set, 1.0, buses[generator.bus].vm),
+        )
+    )
+    row = [ids[generator.bus], p, q, q_max, q_min, vm, base_mva]
     return [*row, float(generator.in_service), p_max, p_min, *[0.0] * 8, ramp_30, 0.0, 0.0]
 
 
-def _branch_row(path: Path, name: str, branch: Branch, ids: Mapping[str, int]) -> list[float]:
-    if branch.g or branch.g_from or branch.g_to or branch.b_from != branch.b_to:
-        warn(
-            f"{path}: {name}: MATPOWER has no branch shunt conductance or uneven charging; they are left out"
-        )
+def _set_point(stated: float | None, default: float, limits: tuple[float, float]) -> float:
+    """Return the set-point of a power flow, by default the value within the limits closest to ``default``."""
+    return min(max(default, limits[0]), limits[1]) if stated is None else stated
+
+
+def _branch_row(branch: Branch, ids: Mapping[str, int]) -> list[float]:
     rating = 0.0 if branch.rating is None else branch.rating
     charging = branch.b + 2 * min(branch.b_from, branch.b_to, key=abs)
     row = [ids[branch.from_bus], ids[branch.to_bus], branch.r, branch.x, charging, rating, rating, rating]
@@ -123,8 +178,6 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
     for name, declared in network.of(Storage).items():
         storage = declared.resolved()
         assert storage.initial is not None
-        if storage.standing_loss or storage.energy_min:
-            warn(f"{path}: {name}: standing_loss and energy_min are left out")
         ends = [v if isinstance(v, tuple) else (-v, v) for v in (storage.power, storage.q)]
         (p_min, p_max), (q_min, q_max) = ends
         if storage.in_service and (p_min > 0 or p_max < 0):
@@ -133,8 +186,8 @@ def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:
             )
         rating = 0.0 if storage.rating is None else storage.rating
         values = [
-            ids[storage.bus], 0, 0, storage.initial, storage.energy, p_max, -p_min,
-            storage.charge_efficiency, storage.discharge_efficiency, rating, q_min, q_max,
+            ids[storage.bus], storage.ps_set or 0, storage.qs_set or 0, storage.initial, storage.energy,
+            p_max, -p_min, storage.charge_efficiency, storage.discharge_efficiency, rating, q_min, q_max,
             0, 0, 0, 0, int(storage.in_service),
         ]  # fmt: skip
         rows.append("\t" + "\t".join(_plain(v) for v in values) + ";")

@@ -185,6 +185,7 @@ def one_stage(
         step=problem.step,
         objective=objective,
         devices=devices,
+        at_end=problem.at_end,
         solver="ipopt",
         options=_PRECISE,
         **{"profiles": problem.profiles, **options},

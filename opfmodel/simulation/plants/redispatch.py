@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from opfmodel.model import Elastic
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
+from opfmodel.network.quantities import In
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of
@@ -34,10 +37,10 @@ class Redispatch(ACPlant):
 
     def __init__(
         self,
-        price: float = 100.0,
-        reactive_price: float = 1.0,
-        shedding_price: float = 10_000.0,
-        violation_price: float = 50_000.0,
+        price: Annotated[float, In("$/MWh")] = 100.0,
+        reactive_price: Annotated[float, In("$/MVArh")] = 1.0,
+        shedding_price: Annotated[float, In("$/MWh")] = 10_000.0,
+        violation_price: Annotated[float, In("$/MWh")] = 50_000.0,
     ) -> None:
         super().__init__()
         self.price = number_within("redispatch: price", price, above=0)

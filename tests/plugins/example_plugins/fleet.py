@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from opfmodel.model import Device, Model, Stage
-from opfmodel.network import Component, Table, at_bus, flag, number
+from opfmodel.network import Component, Table, at_bus, in_service, number
 from solvers import total
 
 __all__ = ["Fleet", "FleetDevice"]
@@ -14,35 +14,27 @@ __all__ = ["Fleet", "FleetDevice"]
 
 @dataclass(frozen=True)
 class Fleet(Component):
-    """Electric vehicles that charge at one bus.
-
-    Parameters
-    ----------
-    bus
-        Name of its bus.
-    power
-        Maximum charging power, MW; a time series that is zero while the vehicles are away.
-    energy, energy_min
-        Maximum and minimum energy, MWh; a series of the minimum states what departures require.
-    driving
-        Power consumed on the road, MW; usually a time series.
-    initial
-        Initial energy, MWh.
-    wear
-        Cost of battery wear, $/MWh charged.
-    """
+    """Electric vehicles that charge at one bus."""
 
     kind: ClassVar[str] = "fleet"
     plural: ClassVar[str] = "fleets"
 
     bus: str = at_bus()
-    power: float = number("MW", at_least=0.0)
-    energy: float = number("MWh", at_least=0.0)
-    energy_min: float = number("MWh", 0.0, at_least=0.0)
-    driving: float = number("MW", 0.0, at_least=0.0)
-    initial: float = number("MWh", 0.0, at_least=0.0)
-    wear: float = number("$/MWh", 0.0, at_least=0.0)
-    in_service: bool = flag(True)
+    power: float = number(
+        "MW",
+        at_least=0.0,
+        description="Maximum charging power; a series that is zero while the vehicles are away.",
+    )
+    energy: float = number("MWh", at_least=0.0, description="Maximum energy.")
+    energy_min: float = number(
+        "MWh", 0.0, at_least=0.0, description="Minimum energy; a series states what departures require."
+    )
+    driving: float = number(
+        "MW", 0.0, at_least=0.0, description="Power consumed on the road, usually a series."
+    )
+    initial: float = number("MWh", 0.0, at_least=0.0, description="Initial energy.")
+    wear: float = number("$/MWh", 0.0, at_least=0.0, description="Cost of battery wear per energy charged.")
+    in_service: bool = in_service()
 
 
 class FleetDevice(Device):

@@ -105,12 +105,12 @@ def _convert(
         first = n.scenarios[0]
         losses.add(f"{len(n.scenarios)} scenarios: only {first!r} is read")
         n = n.get_scenario(first)
-    hours, calendar = steps_of(n, title, losses)
-    source = Source(n, title, hours)
-    _find_losses(source, losses)
-    losses.settle(lossy)
-    converter = Converter(source, voltage, free_dispatch)
     try:
+        hours, calendar = steps_of(n, title, losses)
+        source = Source(n, title, hours)
+        _find_losses(source, losses)
+        losses.settle(lossy)
+        converter = Converter(source, voltage, free_dispatch)
         network = converter.convert()
         network.attach(Profiles(converter.series, calendar))
         check_series(network.profiles, network)

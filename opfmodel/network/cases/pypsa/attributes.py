@@ -16,7 +16,7 @@ import numpy as np
 from opfmodel.errors import listed, shown
 from opfmodel.network.cases.losses import Losses
 
-__all__ = ["CLASSES", "Attributes", "add_losses"]
+__all__ = ["CLASSES", "TYPES", "Attributes", "add_losses"]
 
 
 def _of(words: str) -> frozenset[str]:
@@ -153,7 +153,7 @@ CLASSES: Mapping[str, Attributes] = {
     "shapes": Attributes(unused=_of("name geometry component idx type")),
     "sub_networks": Attributes(),
 }
-_TYPES = ("carriers", "line_types", "transformer_types", "shapes", "sub_networks")
+TYPES = ("carriers", "line_types", "transformer_types", "shapes", "sub_networks")
 """Classes that inject and carry nothing themselves."""
 
 
@@ -173,7 +173,7 @@ def add_losses(n: Any, kept: Mapping[str, list[str]], losses: Losses) -> None:
         kind = components.name
         if known.whole and names:
             losses.add(f"{kind} {_quoted(names)}: {known.whole}")
-        if known.whole or components.list_name in _TYPES or not names:
+        if known.whole or components.list_name in TYPES or not names:
             continue
         for attribute, loss in _losses(components, known, names):
             losses.add(f"{kind} {attribute}: {loss}")

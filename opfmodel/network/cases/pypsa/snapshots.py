@@ -37,10 +37,10 @@ def steps_of(n: Any, source: str, losses: Losses) -> tuple[float, Calendar | Non
         )
     hours, calendar = 1.0, None
     if len(snapshots) > 1 and isinstance(snapshots, pd.DatetimeIndex):
-        stamps = snapshots.to_numpy().astype("datetime64[ns]")
+        stamps = snapshots.to_numpy()
         gaps = np.diff(stamps)
         _check_gaps(snapshots, gaps, source)
-        hours = float(gaps[0] / np.timedelta64(1, "ns")) / 3.6e12
+        hours = float(gaps[0] / np.timedelta64(1, "h"))
         calendar = Calendar(stamps[0], hours)
     for column, weights in n.snapshot_weightings.items():
         wrong = ~(np.abs(weights.to_numpy(dtype=float) - hours) <= _WEIGH * hours)

@@ -52,6 +52,11 @@ class Source:
         self.n = n
         self.title = title
         self.hours = hours
+        for class_name in ("buses", *PREFIXES):
+            index = self.static(class_name).index
+            if not index.is_unique:
+                repeated = str(index[index.duplicated()][0])
+                raise CaseError(f"{title}: {class_name}: the name {repeated!r} is used twice")
         carriers = self.static("buses").carrier
         self.buses = [bus for bus in carriers.index if carriers.at[bus] == "AC"]
         self._members = {name: list(self._at_buses(name)) for name in PREFIXES}

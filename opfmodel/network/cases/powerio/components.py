@@ -1,8 +1,4 @@
-"""Reading of network files with powerio: MATPOWER, PSS/E and all formats without a reader of their own.
-
-Diagnostics of powerio are issued as :class:`CaseWarning`. Equipment in service that opfmodel does not
-model is an error unless the user accepts the loss.
-"""
+"""Components of opfmodel from the records of powerio."""
 
 from __future__ import annotations
 
@@ -11,129 +7,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from opfmodel.data.files import check_file, is_folder
-from opfmodel.errors import CaseError, ComponentError, OpfmodelError, listed
+from opfmodel.errors import CaseError, ComponentError, listed
 from opfmodel.network.cases.losses import Losses
-from opfmodel.network.cases.matpower import CaseFile, read_case
+from opfmodel.network.cases.matpower import CaseFile
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
-__all__ = ["read_powerio"]
+__all__ = ["Reader", "records"]
 
 
-def read_powerio(
-    path: Path, format: str | None, *, default_cost: Cost | None = None, lossy: bool = False
-) -> Network:
-    """Read a file of any format that powerio reads.
-
-    Parameters and errors are those of :func:`opfmodel.network.cases.read.read_network`. Only generators
-    whose cost cannot be represented and that are out of service are left out, with a warning. MATPOWER
-    files are checked by :mod:`opfmodel.network.cases.matpower` first.
-    """
-    module, source = _parse(path, format)
-    losses = Losses(str(path))
-    case = _balanced(path, module.value, losses)
-    try:
-        name = path.stem if case.name in ("", "case") else str(case.name)
-        network = _Reader(path, case, Network(name, case.base_mva), default_cost, source, losses).read()
-    except CaseError:
-        raise
-    except OpfmodelError as error:
-        raise CaseError(f"{path}: {error}") from error
-    losses.settle(lossy)
-    return network
-
-
-def _parse(path: Path, format: str | None) -> tuple[Any, CaseFile | None]:
-    """Parse a file with powerio, and issue the warnings of powerio and of this package."""
-    import powerio
-
-    source = read_case(path) if _is_matpower(path, format) else None
-    try:
-        if source is not None:
-            module = powerio.parse(source.text.encode(), format="matpower", name=path.name)
-        else:
-            for file in sorted(path.iterdir()) if is_folder(path) else [path]:
-                if not is_folder(file):
-                    check_file(file, CaseError)
-            # powerio refuses symbolic links, so they are resolved first.
-            module = powerio.parse(str(path.resolve()), format=format)
-    except (powerio.PowerIOError, OSError, UnicodeError) as error:
-        raise CaseError(f"{path}: {_reason(error, format)}") from error
-    diagnostics = list(module.diagnostics)
-    if source is not None:
-        if source.changes and any(d.code == _NOT_EVALUATED for d in diagnostics):
-            # powerio evaluates all of them or none, but does not report their lines.
-            source.remarks.append(source.unevaluated(source.changes))
-            diagnostics = [d for d in diagnostics if d.code != _NOT_EVALUATED]
-        for remark in source.remarks:
-            warn(remark)
-    for diagnostic in diagnostics:
-        warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
-    return module, source
-
-
-def _reason(error: Exception, format: str | None) -> str:
-    """Describe why powerio cannot read a file, without its error codes."""
-    code = getattr(error, "code", None)
-    if code == _UNKNOWN_FORMAT:
-        unknown = "the format cannot be inferred" if format is None else f"no format is named {format!r}"
-        return f"cannot be read as a network: {unknown}; accepted are {_FORMATS}"
-    return f"cannot be read as a network: {str(error).removeprefix(f'{code}: ')}"
-
-
-_FORMATS = "MATPOWER .m, PSS/E .raw, pandapower JSON, PyPSA CSV folders and the other formats of powerio"
-_UNKNOWN_FORMAT = "REQUEST.FORMAT.UNKNOWN"
-_NOT_EVALUATED = "READ.MATPOWER.INDEXED_ASSIGNMENT"
-
-
-def _is_matpower(path: Path, format: str | None) -> bool:
-    import powerio
-
-    if format is None:
-        return path.suffix.lower() == ".m"
-    known = powerio.resolve_format(format)
-    return known is not None and known.token == "matpower"
-
-
-def _balanced(path: Path, value: Any, losses: Losses) -> Any:
-    """Extract the balanced network from the value returned by powerio."""
-    import powerio
-
-    if isinstance(value, powerio.TimeSeries):
-        losses.add(f"{len(value)} snapshots: only the first is used")
-        value = value[0]
-    if hasattr(value, "network"):
-        value = value.network
-    if not isinstance(value, powerio.BalancedNetwork):
-        raise CaseError(f"{path}: contains a {type(value).__name__}; must be a balanced transmission network")
-    if any(switch["closed"] for switch in value.switches):
-        value = value.merge_buses(closed_switches=True).network
-        warn(f"{path}: buses joined by closed switches were merged")
-    unmodelled = {
-        "hvdc": "HVDC lines",
-        "static_var_compensators": "static var compensators",
-        "transformers_3w": "three-winding transformers",
-    }
-    for kind, what in unmodelled.items():
-        members = [record for record in _records(value, kind) if record["in_service"]]
-        if members:
-            losses.add(
-                f"{len(members)} {what} in service: they are left out; take them out of service or replace "
-                "them with branches, generators and loads"
-            )
-    return value
-
-
-def _records(case: Any, kind: str) -> Sequence[Mapping[str, Any]]:
+def records(case: Any, kind: str) -> Sequence[Mapping[str, Any]]:
     """Records of a rare kind, guarded by its count: powerio scans the whole case even if there are none."""
     return getattr(case, kind) if getattr(case, f"n_{kind}") else ()
 
 
-class _Reader:
+class Reader:
     """Convert powerio records to components."""
 
     def __init__(
@@ -153,6 +44,7 @@ class _Reader:
         self.default_cost = default_cost
         self.numbers: dict[str, int] = {}  # number of components per requested name
         self.bus_row = {record["id"]: row for row, record in enumerate(case.buses)}
+        self.load_buses = {record["id"] for record in case.buses if record["kind"] == "PQ"}
 
     def read(self) -> Network:
         """Declare all components."""
@@ -167,7 +59,7 @@ class _Reader:
             bus = record["bus"]
             shunt = Shunt(str(bus), g=record["g"], b=record["b"], in_service=record["in_service"])
             self._add(f"shunt{bus}", shunt, "bus", self.bus_row.get(bus))
-        for row, record in enumerate(_records(self.case, "storage")):
+        for row, record in enumerate(records(self.case, "storage")):
             self._storage(row, record)
         return self.network
 
@@ -250,6 +142,10 @@ class _Reader:
                     q=(record["qmin"], record["qmax"]),
                     ramp=2.0 * ramp_30 if ramp_30 else None,
                     cost=cost,
+                    pg_set=record["pg"],
+                    qg_set=record["qg"],
+                    vm_set=record["vg"] or None,
+                    regulates=record["voltage_regulation_on"] and record["bus"] not in self.load_buses,
                     in_service=in_service,
                 ),
                 "gen",
@@ -307,6 +203,8 @@ class _Reader:
                 charge_efficiency=number["charge_efficiency"],
                 discharge_efficiency=number["discharge_efficiency"],
                 rating=rating if rating > 0 else None,
+                ps_set=number["ps"] or None,
+                qs_set=number["qs"] or None,
                 in_service=bool(record["in_service"]),
             ),
             "storage",
