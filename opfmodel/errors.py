@@ -276,6 +276,8 @@ def raise_all(errors: Iterable[OpfmodelError]) -> None:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the known names closest to ``name``, or list all of them if none is close."""
     names = sorted(known)
+    if name.partition(":")[0] in names:
+        return f"a space is missing after the colon in {shown(name)}"
     if found := close(name, names):
         return "did you mean " + " or ".join(map(repr, found)) + "?"
     return "available: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
@@ -283,7 +285,10 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def close(name: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a misspelt name may stand for, the closest first."""
-    similar = _similar(name, sorted(known))
+    names = sorted(known)
+    if name.partition(":")[0] in names:  # a key with its value, without a space between them
+        return [name.partition(":")[0]]
+    similar = _similar(name, names)
     found = difflib.get_close_matches(name, similar, n=3, cutoff=0.6)
     return found or [other for other in similar if len(name) > 1 and _distance(name, other) == 1][:3]
 

@@ -266,12 +266,15 @@ class Component:
         """
         known = cls.fields()
         unknown = [key for key in values if key not in known]
+        missing = [k for k, item in known.items() if item.default is MISSING and k not in values]
         meant = {field for key in unknown for field in close(key, known)}
+        if len(unknown) == len(missing) == 1:
+            meant |= set(missing)
         for key in unknown:
             rule = f"unknown field of a {cls.kind}; {nearest(key, known)}"
             yield ComponentError(name, key, values[key], rule)
-        for key, item in known.items():
-            if item.default is MISSING and key not in values and key not in meant:
+        for key in missing:
+            if key not in meant:
                 yield ComponentError(name, key, None, f"required for a {cls.kind}")
         checked = {key: value for key, value in cls._converted(values).items() if key not in wrong}
         in_service = values.get("in_service", True)

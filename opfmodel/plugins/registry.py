@@ -173,7 +173,10 @@ def make(
     checked = {}
 
     def errors() -> Iterator[PluginError]:
+        misplaced = [key for key in options if key not in accepted and close(key, beside)]
         for key, value in options.items():
+            if misplaced and key not in misplaced:
+                continue  # its plugin may be another one
             if key not in accepted:
                 known = nearest(key, (*accepted, *beside))
                 yield PluginError(f"{called} has no option {key!r}; {known}", key)
@@ -192,7 +195,8 @@ def make(
             except OpfmodelError as error:
                 for each in (error, *error.others):
                     yield PluginError(str(each), key, *each.key)
-        missing = [k for k, p in accepted.items() if p.default is p.empty and k not in options]
+        required = [k for k, p in accepted.items() if p.default is p.empty]
+        missing = [] if misplaced else [k for k in required if k not in options]
         misspelt = {known for k in options if k not in accepted for known in close(k, accepted)}
         for key in missing:
             if key not in misspelt:

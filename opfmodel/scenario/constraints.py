@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from opfmodel.data.columns import read_columns
 from opfmodel.errors import (
     ConstraintError,
     ModelError,
+    OpfmodelError,
     ProfileError,
     QuantityError,
     close,
@@ -28,13 +30,17 @@ __all__ = ["check_constraints", "read_constraints"]
 
 
 def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
-    """Return the constraints of a file, by name, without those that have a fault."""
+    """Return the constraints of a file, by name; those with faulty limits have others, to check terms."""
     made: dict[str, CustomConstraint] = {}
     for name, values in settings.constraints.items():
         if document.faults.broken("constraints", name):
             continue
         with document.faults, document.located("constraints", name):
             made[name] = _constraint(name, values, settings.length, document.path.parent)
+        terms = values.get("terms") if isinstance(values, Mapping) else None
+        if name not in made and isinstance(terms, Mapping):
+            with suppress(ConstraintError):
+                made[name] = CustomConstraint.of(name, Linear(terms), at_least=0.0)
     return made
 
 
@@ -61,7 +67,7 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
         raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
     limits: dict[str, float | list[float]] = {}
 
-    def errors() -> Iterator[ConstraintError]:
+    def errors() -> Iterator[OpfmodelError]:
         yield from _errors_of_keys(values, known)
         for key in known[1:]:
             try:
@@ -69,6 +75,11 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
                     limits[key] = _limit(values[key], key, steps, folder)
             except ConstraintError as error:
                 yield error
+        if isinstance(values.get("terms"), Mapping):
+            try:
+                Linear(values["terms"])
+            except ConstraintError as error:
+                yield from (error, *error.others)
 
     raise_all(errors())
     if not limits:

@@ -72,8 +72,7 @@ class Declarations:
         for key in self.section:
             if key not in known:
                 broken = "".join(f"; {reason}" for reason in self.broken)
-                hint = colon_hint(key) or f"; {nearest(key, known)}{broken}"
-                self._refuse((key,), f"unknown key{hint}")
+                self._refuse((key,), f"unknown key; {nearest(key, known)}{broken}")
                 self.complete = False
         network = self._start(name)
         network.set_currency(self.currency)
@@ -237,10 +236,13 @@ class Declarations:
         """
         if name in network:
             network.remove(name)
+        self.complete &= "*" not in name  # it may stand for one per bus
         buses = {key: str(fields[key]) for key in kind.bus_fields() if isinstance(fields.get(key), str | int)}
         plain = _stand_ins(kind, list(network.of(Bus)))
         for values in ({**plain, **buses}, plain):
-            with suppress(ComponentError, TypeError):  # TypeError: of a device of another package
+            with suppress(
+                ComponentError, NetworkError, TypeError
+            ):  # TypeError: of a device of another package
                 network.add(name, kind(**values))
                 return
         self.complete = False
@@ -294,11 +296,16 @@ class Declarations:
         for key, value in fields.items():
             match = _SHARE.fullmatch(value) if isinstance(value, str) else None
             if match:
+                wrong.add(key)
                 try:
-                    plain[key] = _share(kind.from_mapping(name, known), name, key, match)
+                    whole = kind.from_mapping(name, known)
                 except ComponentError as error:
                     errors.append(error)
-                    wrong.add(key)
+                    whole = kind(**_stand_ins(kind, []))  # to check the name
+                try:
+                    plain[key] = _share(whole, name, key, match)
+                except ComponentError as error:
+                    errors.append(error)
         if errors:
             errors += kind.errors_of_mapping(name, {**(others or {}), **plain}, wrong)
         raise_all(errors)

@@ -241,8 +241,6 @@ def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseMo
     fault = faults[0]
     if fault["type"] == "extra_forbidden":
         known = _model_at(model, key[:-1]).model_fields
-        if hint := colon_hint(key[-1]):
-            return f"unknown key{hint}"
         parts = str(key[-1]).split(".")
         if len(parts) > 1 and parts[0] in known:
             return f"unknown key; nest it: {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"

@@ -13,7 +13,7 @@ from opfmodel import plugins
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.columns import read_columns
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError
+from opfmodel.errors import ModelError, ProfileError, ScenarioError, nearest, shown
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
@@ -26,7 +26,7 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.profiles.base import ProfileRule, Workbook
-from opfmodel.scenario.document import Document
+from opfmodel.scenario.document import Document, colon_hint
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
@@ -57,7 +57,7 @@ def make_rules(document: Document, settings: ScenarioFile, network: Network) -> 
         if document.faults.broken(*key):
             continue
         with document.faults:
-            name, options = _single(document, key, spec)
+            name, options = _single(document, key, spec, "profile")
             with document.located(*key, name):
                 made = plugins.make("profile", name, options, context=basis)
                 rules.append(Rule((*key, name), made))
@@ -179,7 +179,7 @@ def make_objective(
         return made
     if not isinstance(spec, list):
         with document.faults:
-            name, options = _single(document, key, spec)
+            name, options = _single(document, key, spec, "objective", *(("weight",) if key[1:] else ()))
             with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
                 made = plugins.make("objective", name, options, convert, context=basis)
         return made
@@ -200,7 +200,7 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None
     if document.faults.broken("forecast"):
         return None
     with document.faults:
-        name, options = _single(document, ("forecast",), settings.forecast)
+        name, options = _single(document, ("forecast",), settings.forecast, "forecast")
         with document.located("forecast", *((name,) if isinstance(settings.forecast, dict) else ())):
             made: Forecast = plugins.make(
                 "forecast",
@@ -275,14 +275,28 @@ def _setpoints(
 
 
 def _single(
-    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]
+    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any], sort: str, *beside: str
 ) -> tuple[str, dict[str, Any]]:
-    """Return name and options of a plugin, given as ``name`` or ``{name: {option: value}}``."""
+    """Return name and options of a plugin, given as ``name`` or ``{name: {option: value}}``.
+
+    Parameters
+    ----------
+    sort
+        Sort of the plugin.
+    beside
+        Other keys that are accepted next to the name.
+    """
     if isinstance(spec, str):
         return spec, {}
     if len(spec) != 1:
+        strange = [name for name in spec if name not in plugins.plugins(sort)]
+        if len(strange) == len(spec) - 1 and beside:
+            raise ScenarioError(
+                *(document.fault((*key, name), f"unknown key; {nearest(name, beside)}") for name in strange)
+            )
         raise document.error(key, f"must be a name, or one name with its options, not {len(spec)} keys")
     name, options = next(iter(spec.items()))
     if options is not None and not isinstance(options, dict):
-        raise document.error((*key, name), "the options must be a mapping")
+        hint = colon_hint(options)
+        raise document.error((*key, name), f"{shown(options)}: the options must be a mapping{hint}")
     return name, options or {}
