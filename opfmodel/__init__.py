@@ -10,7 +10,17 @@
 'globally_optimal'
 """
 
+from typing import Any
+
 import lazy_loader
 
 # The public names are listed in __init__.pyi only. Each is imported on first use to keep this import fast.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("opfmodel")
+    return _attribute(name)

@@ -17,7 +17,13 @@ from .network import (
 )
 from .data.series import Profiles as Profiles
 from .errors import OpfmodelError as OpfmodelError
-from .forecasts import Forecast as Forecast
+from .horizon import Horizon as Horizon
+from .forecasts import (
+    Case as Case,
+    Draw as Draw,
+    Forecast as Forecast,
+    Scenarios as Scenarios,
+)
 from .model import (
     Elastic as Elastic,
     largest as largest,
@@ -38,6 +44,11 @@ from .plan import (
     End as End,
     MultiStage as MultiStage,
     Plan as Plan,
+    Risk as Risk,
+)
+from .plan.power_flow import (
+    PowerFlowResult as PowerFlowResult,
+    power_flow as power_flow,
 )
 from .plan.single_stage import (
     SingleStageSequence as SingleStageSequence,
@@ -56,3 +67,5 @@ from .simulation import (
     Run as Run,
     simulate as simulate,
 )
+
+__version__: str

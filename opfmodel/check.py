@@ -154,7 +154,8 @@ def check(
     network
         Declared network.
     data
-        Trajectories over ``time`` in physical units, as in ``plan.data`` or ``run.data``: for AC
+        Trajectories over ``time`` in physical units, as in ``plan.data``, ``plan.scenario(name)`` or
+        ``run.data``: for AC
         ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
         attribute ``formulation`` selects the physics, AC by default. Components may be in any order;
         components that are missing from the data count as out of service.
@@ -207,7 +208,11 @@ class _Trajectories:
     def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
         self.data = data
         self.times, self.moments = _times(data)
-        self.window = slice(first, first + len(self.times))
+        base = float(data.attrs.get("step_hours", 1.0))
+        self.hours = np.asarray(data["hours"].values if "hours" in data else np.full(len(self.times), base))
+        lengths = np.rint(self.hours / base).astype(int)  # in steps of the series
+        self.begins = first + np.cumsum(lengths) - lengths
+        self.ends = self.begins + lengths
         self.series = Profiles.of(series)
         self.changing = {key.field for key in self.series}
         self.positions: dict[str, dict[str, int]] = {}
@@ -241,18 +246,22 @@ class _Trajectories:
             raise ResultError(f"data: {kind}: {quantity!r} has no values of {lacking!r}")
         return values[[position[name] for name in names]]
 
-    def declared(self, field: str, names: list[str], constants: Array) -> Array:
-        """Values of a field: ``constants`` of shape ``(items, 1)``, replaced by time series where given."""
-        first, end = self.window.start, self.window.stop
+    def declared(self, field: str, names: list[str], constants: Array, rule: str) -> Array:
+        """Values of a field: ``constants`` of shape ``(items, 1)``, replaced by time series where given.
+
+        Over a stage of several steps the rule applies: ``mean``, or ``min`` and ``max`` of limits.
+        """
+        end = int(self.ends.max(initial=0))
         keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}
         changing = {i: self.series[key] for i, key in keys.items() if key in self.series}
-        values = np.repeat(constants, end - first, axis=1) if changing else constants
+        values = np.repeat(constants, len(self.times), axis=1) if changing else constants
+        over: Mapping[str, Callable[..., Any]] = {"mean": np.mean, "min": np.min, "max": np.max}
         for i, whole in changing.items():
             if len(whole) < end:
                 raise ProfileError(
                     f"profile {str(keys[i])!r}: has {len(whole)} values; {end} are needed", keys[i]
                 )
-            values[i] = whole[first:end]
+            values[i] = [over[rule](whole[b:e]) for b, e in zip(self.begins, self.ends, strict=True)]
         return values
 
 
@@ -290,13 +299,17 @@ class _Table:
 
     def number(self, field: str) -> Array:
         """Values of a number field for all components, including time series."""
-        return self.trajectories.declared(field, self.names, self.constant(field))
+        return self._declared(field, self.constant(field))
 
     def bounds(self, field: str) -> Bounds:
         """Minimum and maximum for all components, including time series."""
         low, high = self.span(field)
-        declared = self.trajectories.declared
-        return declared(f"{field}_min", self.names, low), declared(f"{field}_max", self.names, high)
+        return self._declared(f"{field}_min", low), self._declared(f"{field}_max", high)
+
+    def _declared(self, field: str, constants: Array) -> Array:
+        one = self.members[0] if self.members else None
+        rule = one.over(field) if isinstance(one, Component) else "mean"
+        return self.trajectories.declared(field, self.names, constants, rule)
 
 
 class _Checker:
@@ -306,7 +319,7 @@ class _Checker:
         self.network, self.base, self.scale = network, network.base_mva, network.scale_mva
         self.trajectories = _Trajectories(data, series, first)
         self.has = self.trajectories.has
-        self.step = float(data.attrs.get("step_hours", 1.0))
+        self.hours = self.trajectories.hours
         self.formulation = str(data.attrs.get("formulation", "ac"))
         self.voltages_known = self.has("vm") or self.has("w")
         self.angles_known = self.has("va") or self.has("wr", "wi")
@@ -335,7 +348,7 @@ class _Checker:
             angles = self.angles()[self.limited_angles()]
             self.inside("angle difference", limited, angles, limited.span("angle"), "deg")
         self.check_balance(flows)
-        self.report.cost = float(self.cost_rate().sum() * self.step)
+        self.report.cost = float(self.cost_rate() @ self.hours)
         return self.report
 
     def table(self, members: Mapping[str, Component]) -> _Table:
@@ -404,22 +417,31 @@ class _Checker:
         ]
         change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
         change[np.isnan(change)] = 0.0  # no check where the dispatch is unknown, as before the first stage
-        self.note("ramp", ramped.names, change - ramped.number("ramp") * self.step, "MW")
+        between = 0.5 * (self.hours + np.concatenate([self.hours[:1], self.hours[:-1]]))
+        self.note("ramp", ramped.names, change - ramped.number("ramp") * between, "MW")
 
     def check_storages(self) -> None:
-        """Check power, energy and apparent-power limits, and the energy balance of each storage."""
+        """Check power and apparent-power limits and, unless the data have no energy, that of each storage."""
         units = self.storages
-        ps, e, e_next = units.values("ps"), units.values("e"), units.values("e_next")
+        ps = units.values("ps")
         qs = units.values("qs") if self.reactive else np.zeros_like(ps)
         self.inside("storage power", units, ps, units.bounds("power"), "MW")
         self.inside("storage q", units, qs, units.bounds("q"), "MVAr")
+        self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
+        if self.has("e", "e_next") or not units.names:
+            self.check_energy(units, ps)
+        else:  # a power flow is the state of one moment
+            self.leave_out("stored energy: the results do not include it")
+
+    def check_energy(self, units: _Table, ps: Array) -> None:
+        """Check energy limits and the energy balance of each storage."""
+        e, e_next = units.values("e"), units.values("e_next")
         limits = units.number("energy_min"), units.number("energy")
         self.inside("storage energy", units, e_next, limits, "MWh")
-        self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
         gap = np.zeros_like(e)  # the last stage has no successor
         gap[:, :-1] = np.abs(e[:, 1:] - e_next[:, :-1])
         self.note("energy continuity", units.names, gap, "MWh")
-        stored = (e_next - (1 - units.constant("standing_loss") * self.step) * e) / self.step
+        stored = (e_next - (1 - units.constant("standing_loss") * self.hours) * e) / self.hours
         # a given net power stores the most energy without simultaneous charging and discharging
         gain, drain = units.constant("charge_efficiency"), 1 / units.constant("discharge_efficiency")
         most = np.where(ps >= 0, gain * ps, drain * ps)

@@ -183,6 +183,10 @@ class ModelError(OpfmodelError):
         self.key = key
 
 
+class HorizonError(ModelError):
+    """The nodes of a horizon do not fit together: lengths, probabilities, common part."""
+
+
 class IncompatibleError(ModelError):
     """Valid parts, such as an objective and a formulation, cannot be combined.
 

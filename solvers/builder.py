@@ -36,6 +36,9 @@ class ProgramBuilder:
     ----------
     name
         Name of the program, used in messages.
+    ordered
+        Whether the stages of its expressions follow one another in time. If not, a slice of stages has no
+        meaning and is an error; positions and masks select as usual.
 
     Examples
     --------
@@ -51,8 +54,9 @@ class ProgramBuilder:
     1.75
     """
 
-    def __init__(self, name: str = "program") -> None:
+    def __init__(self, name: str = "program", ordered: bool = True) -> None:
         self.name = name
+        self.ordered = ordered
         self.symbols: dict[str, Any] = {}
         self._variables: dict[str, Block] = {}
         self._parameters: dict[str, Block] = {}

@@ -175,18 +175,29 @@ class Expression(_Symbolic):
         """Number of stages."""
         return self.shape[1]
 
+    @property
+    def varies(self) -> bool:
+        """Whether it depends on variables, and not on parameters and numbers alone."""
+        return any(leaf.kind == "variable" for leaf in self.leaves.values())
+
     def __getitem__(self, key: Any) -> Expression:
         """Select items, or items and stages, as in a two-dimensional NumPy array.
 
         Raises
         ------
         ProgramError
-            The key is not one of positions, slices and masks, or a position does not exist.
+            The key is not one of positions, slices and masks, or a position does not exist; or it is a
+            slice of stages that have no order in time.
         """
         keys = key if isinstance(key, tuple) else (key, slice(None))
         if len(keys) != 2:
             raise ProgramError(f"{key!r}: must select items, or items and stages, not {len(keys)} axes")
         rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
+        if isinstance(columns, slice) and columns != slice(None) and not self.builder.ordered:
+            raise ProgramError(
+                "a slice of stages has no meaning here: the stages are nodes of a tree, which do not follow "
+                "one another"
+            )
         old, new, leaves = [], [], {}
         try:
             shape = np.broadcast_to(np.empty(()), self.shape)[rows][:, columns].shape
@@ -346,8 +357,10 @@ class Sum(_Symbolic):
         return (-self).__add__(other)
 
     def __mul__(self, other: Any) -> Sum:
+        if isinstance(other, Expression) and other.items == 1 and not other.varies:
+            return Sum(tuple(term * other for term in self.spread()))
         if isinstance(other, Sum | Expression):
-            raise ProgramError("a sum can only be multiplied by numbers")
+            raise ProgramError("a sum can only be multiplied by numbers, or by one parameter per stage")
         factor = np.asarray(other, dtype=float)
         factor = factor.reshape(1, -1) if factor.ndim < 2 else factor
         return Sum(tuple(term * factor for term in self.terms))

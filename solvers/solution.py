@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from solvers.assembly import Evaluator
 from solvers.errors import ProgramError
-from solvers.program import Array, Block, Cone, Instance, Program
+from solvers.program import Array, Block, Cone, Index, Instance, Program
 from solvers.status import SolutionStatus, TerminationCondition
 
 __all__ = ["Solution", "Start"]
@@ -200,22 +200,46 @@ class Solution:
         not appear earlier. Blocks of a single stage are unchanged.
         """
 
-        def shift(vector: Array, blocks: Iterable[Block | Cone]) -> Array:
-            moved = vector.copy()
+        def source(block: Block | Cone) -> Index:
+            last = block.stages - 1
+            stage = np.minimum(np.arange(block.stages) + stages, max(last - 1, 0))
+            stage[last] = last
+            return stage
+
+        return self.rearranged(source, moved=stages)
+
+    def rearranged(
+        self,
+        source: Callable[[Block | Cone], Index],
+        factor: Callable[[Block | Cone], Array | float] = lambda _: 1.0,
+        moved: int = 0,
+    ) -> Start:
+        """This point with other stages in the place of its own.
+
+        Parameters
+        ----------
+        source
+            Returns, for a block, the stage from which each of its stages is taken.
+        factor
+            Returns, for a block, the factor of the multipliers of each of its stages.
+        moved
+            As in :class:`Start`.
+        """
+
+        def move(vector: Array, blocks: Iterable[Block | Cone], scaled: bool = True) -> Array:
+            made = vector.copy()
             for block in blocks:
-                last = block.stages - 1
-                stage = np.minimum(np.arange(block.stages) + stages, max(last - 1, 0))
-                stage[last] = last
-                moved[block.slice] = block.read(vector)[..., stage].ravel(order="F")
-            return moved
+                values = block.read(vector)[..., source(block)]
+                made[block.slice] = (values * factor(block) if scaled else values).ravel(order="F")
+            return made
 
         variables = self.program.variables.values()
         return Start(
-            shift(self.x, variables),
-            shift(self.lam_x, variables),
-            shift(self.lam_g, self.program.rows.values()),
-            shift(self.z, self.program.cones.values()),
-            moved=stages,
+            move(self.x, variables, scaled=False),
+            move(self.lam_x, variables),
+            move(self.lam_g, self.program.rows.values()),
+            move(self.z, self.program.cones.values()),
+            moved=moved,
         )
 
 

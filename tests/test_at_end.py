@@ -222,7 +222,7 @@ def test_forecasts_end_or_repeat_with_the_data(forecast: Any, at_end: str) -> No
     last = STEPS - 1
     expected = controller.expected(last)
     stages = HORIZON if at_end == "repeat" else 1
-    assert controlled.stages_from(last) == stages
+    assert controlled.horizon_from(last).steps == stages
     if expected is not None:
         assert expected["load", "p"].shape[1] == stages
         if isinstance(forecast, Perfect):
@@ -242,7 +242,7 @@ def test_repeated_data_follow_once_more() -> None:
     run, expected = om.simulate(repeats, steps=2 * STEPS), om.simulate(twice, steps=2 * STEPS)
     assert run.cost == pytest.approx(expected.cost, rel=1e-7)
     assert run.data["pd"].values == pytest.approx(expected.data["pd"].values)
-    assert repeats.stages_from(100) == HORIZON
+    assert repeats.horizon_from(100).steps == HORIZON
 
 
 def test_only_data_of_one_length_repeat() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from opfmodel.data import columns
+from opfmodel.data import rows
 from opfmodel.data.columns import read_columns
 from opfmodel.errors import ProfileError, ScenarioError
 from opfmodel.scenario import load_scenario
@@ -106,7 +106,7 @@ def test_errors_are_reported_with_their_line(tmp_path: Path, content: str | byte
 
 
 def test_line_length_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(columns, "_LONGEST_LINE", 1000)
+    monkeypatch.setattr(rows, "_LONGEST_LINE", 1000)
     with pytest.raises(ProfileError, match=r"line 2: .*1,000 characters"):
         read_columns(write(tmp_path, "a.p\n" + "1," * 1000))
 

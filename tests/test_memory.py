@@ -106,4 +106,5 @@ def test_the_memory_of_the_machine_and_of_its_container(
 
 
 def test_noise_needs_no_more_memory_than_the_horizon() -> None:
-    assert Noisy(0.1, seed=1).error("town", 0, 200_000).shape == (200_000,)
+    actual = om.Profiles({"town.p": np.ones(200_000)})
+    assert Noisy(0.1, seed=1).expected(actual, 0, 200_000)["town.p"].shape == (200_000,)

@@ -236,7 +236,7 @@ def test_the_single_stage_sequence_solves_equal_demands_once() -> None:
     series = {"town.p": [80.0, 100, 80, 100, 90], "town.q": [20.0, 30, 20, 30, 25]}
     problem = om.MultiStage(two_bus(), 2, profiles=series)
     sequence = om.single_stage_sequence(problem, 5)
-    assert sequence.plan.problem.horizon == 3
+    assert sequence.plan.problem.stages == 3
     alone = []
     for p, q in zip(series["town.p"], series["town.q"], strict=True):
         grid = two_bus()
@@ -256,7 +256,7 @@ def test_the_single_stage_sequence_follows_an_objective_that_changes_in_time() -
     tracking = om.SetpointTracking({"coal.pg": [10, 20, 30, 20, 50]})
     problem = om.MultiStage(grid, formulation="dc", objective=tracking)
     sequence = om.single_stage_sequence(problem, 4, start=1)
-    assert sequence.plan.problem.horizon == 3
+    assert sequence.plan.problem.stages == 3
     assert_allclose(sequence.data["pg"].sel(generator="coal"), [20, 30, 20, 50], atol=1e-4)
     assert sequence.cost == pytest.approx(0, abs=1e-6)
     with pytest.raises(ModelError, match="pg_setpoint has 5 values; 5 single stages from step 1 need 6"):

@@ -61,12 +61,36 @@ def test_quadratic_costs_are_those_of_pypsa() -> None:
     assert found == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_phase_shift_is_what_pypsas_optimum_neglects() -> None:
-    n = meshed(steps=2)
-    n.transformers.loc["trafo", "phase_shift"] = 10.0
+@pytest.mark.parametrize("neglected", ["phase shift", "shunt", "magnetising branch"])
+def test_what_pypsas_optimum_neglects_is_the_only_difference(neglected: str) -> None:
+    n = meshed()
+    if neglected == "phase shift":
+        n.transformers.loc["trafo", "phase_shift"] = 10.0
+    elif neglected == "magnetising branch":
+        n.transformers.loc["trafo", ["b", "model"]] = -4.0, "t"
+    else:
+        n.add("ShuntImpedance", "coil", bus="c", g=1e-4)
     expected, found = optima(n)
     assert abs(found / expected - 1) > 1e-4
-    assert om.from_pypsa(n).trafo.shift == 10.0
+    if neglected == "magnetising branch":
+        n.transformers.loc["trafo", "model"] = "pi"
+    elif neglected == "phase shift":
+        n.transformers.loc["trafo", "phase_shift"] = 0.0
+    else:
+        n.remove("ShuntImpedance", "coil")
+        n.add("Load", "coil", bus="c", p_set=1e-4 * 110**2)
+    expected, found = optima(n)
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_overlapping_charge_and_discharge_keep_to_the_limits_of_their_snapshot() -> None:
+    n = snapshots(3, 1.0)
+    n.add("Bus", "a", v_nom=20.0)
+    n.add("Generator", "waste", bus="a", p_nom=50, marginal_cost=-10)
+    n.add("StorageUnit", "battery", bus="a", p_nom=10, max_hours=0.2, efficiency_store=0.5, efficiency_dispatch=0.5,
+          p_min_pu=[-1.0, -0.2, -0.6], p_max_pu=[0.3, 1.0, 0.1])  # fmt: skip
+    expected, found = optima(n)
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 @st.composite
@@ -99,12 +123,12 @@ def networks(draw: st.DrawFn) -> pypsa.Network:
     for i, at in enumerate(buses):
         n.add("Load", at, bus=at, p_set=series(st.floats(0, 40)))  # named as its bus
         n.add("Generator", f"backup{i}", bus=at, p_nom=100, marginal_cost=200.0)
+    retired = draw(st.booleans())  # PyPSA itself fails where some units are inactive and others have ramps
     for i in range(draw(st.integers(0, 2))):
-        ramp = draw(st.sampled_from([np.nan, 0.2, 0.6]))
+        ramp = np.nan if retired else draw(st.sampled_from([np.nan, 0.2, 0.6]))
         n.add("Generator", f"unit{i}", bus=draw(bus), p_nom=draw(st.floats(0, 60)), p_max_pu=series(share),
-              # with ramp limits, PyPSA itself fails at inactive generators
               marginal_cost=series(st.floats(-20, 60)), ramp_limit_up=ramp, ramp_limit_down=ramp,
-              active=not np.isnan(ramp) or draw(st.booleans()))  # fmt: skip
+              active=not retired or draw(st.booleans()))  # fmt: skip
     cyclic = draw(st.booleans())
     for i in range(draw(st.integers(0, 2))):
         power, full = draw(st.floats(1, 30)), draw(st.floats(0.5, 5))
@@ -151,7 +175,7 @@ def test_the_voltages_of_transformers_are_those_of_pypsa(model: str, tap_side: i
     for bus, kv in (("high", 110.0), ("middle", 20.0), ("end", 20.0)):
         n.add("Bus", bus, v_nom=kv, v_mag_pu_set=1.03 if bus == "high" else 1.0)
     n.add("Transformer", "own", bus0="high", bus1="middle", model=model, x=0.11, r=0.01, g=0.002, b=-0.03,
-          s_nom=40, tap_ratio=0.94, tap_side=tap_side, phase_shift=-8.0)  # fmt: skip
+          s_nom=40, tap_ratio=0.94, tap_side=tap_side, phase_shift=147.0)  # fmt: skip
     n.add("Transformer", "typed", bus0="high", bus1="end", type="25 MVA 110/20 kV", tap_position=-3,
           num_parallel=2, model=model)  # fmt: skip
     n.add("Line", "typed", bus0="middle", bus1="end", type="NA2XS2Y 1x240 RM/25 12/20 kV", length=30.0,
@@ -176,10 +200,11 @@ def test_the_slack_bus_is_that_of_pypsa_in_every_island() -> None:
     n.add("Line", ["ab", "cd"], bus0=["a", "c"], bus1=["b", "d"], x=1.0, s_nom=10)
     n.add("Generator", ["first", "slack", "pv", "last"], bus=["a", "b", "c", "d"], p_nom=10,
           control=["PQ", "Slack", "PV", "Slack"])  # fmt: skip
+    n.add("Generator", "retired", bus="a", control="PV", active=False)
     network = om.from_pypsa(n)
     assert [name for name, bus in network.of(om.Bus).items() if bus.reference] == ["b", "d"]
     assert {name: g.regulates for name, g in network.of(om.Generator).items()} == {
-        "first": False, "slack": True, "pv": True, "last": True,
+        "first": False, "slack": True, "pv": True, "last": True, "retired": True,
     }  # fmt: skip
 
 
@@ -444,6 +469,24 @@ def test_invalid_values_of_series_are_errors_with_their_step() -> None:
     n.loads_t.p_set["town"] = [1.0, np.nan, 2.0]
     with pytest.raises(CaseError, match=r"'town.p': step 1: nan"):
         om.from_pypsa(n)
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("loads-p_set.csv", r"loads c: 2025-03-29 00:00:00: 'much': must be a number"),
+        ("generators.csv", r"cannot be read as a PyPSA network: .*much"),
+        ("snapshots.csv", r"snapshot_weightings \w+: .*'much': must be a number"),
+    ],
+)
+def test_texts_in_place_of_numbers_are_errors(files: tuple[Path, Path], file: str, message: str) -> None:
+    path = files[1] / file
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    column = rows[0].index("p_nom") if file == "generators.csv" else -1
+    rows[1][column] = "much"
+    path.write_text("\n".join(",".join(row) for row in rows))
+    with pytest.raises(CaseError, match=message):
+        om.read_network(files[1])
 
 
 def test_something_else_is_no_network() -> None:

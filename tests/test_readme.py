@@ -191,6 +191,6 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_scenario_loads_and_its_series_cover_its_loop(path: Path) -> None:
     scenario = om.load_scenario(path)
-    needed = scenario.steps + scenario.problem.horizon - 1
+    needed = scenario.steps + scenario.problem.horizon.steps - 1
     assert scenario.name == path.stem
     assert {len(values) for values in scenario.profiles.series.values()} == {needed}

@@ -304,7 +304,7 @@ def grumpy(self, model, table) -> None:
         (furnace(declare=idle), "injects power into the balance"),
         (furnace(declare=moody), "declares the same quantities under every formulation"),
         (furnace(declare=bent), "is convex .*': bent .* nonlinear program"),
-        (furnace(declare=grumpy), "without components over 2 stages under ac': IndexError"),
+        (furnace(declare=grumpy), "without components over 2 stages of 1 h under ac': IndexError"),
         (furnace(cost=lambda self, s: -total(s.furnace.heat**2)), "is convex .*': cost .* nonlinear program"),
         (furnace(cost=lambda self, s: total(s.furnace.haet)), "ModelError|QuantityError"),
         (furnace(cost=lambda self, s: 1e999 * total(s.furnace.heat)), "can be solved with a linear network|finite"),
@@ -498,7 +498,7 @@ def test_maxima_at_random_points_are_identified_by_type_not_by_name() -> None:
     program = build.build()
     solved = SimpleNamespace(
         solution=solvers.solve(program), problem=SimpleNamespace(model=None), stage=SimpleNamespace(network=None),
-        request=Request(0, None, End(), None),
+        request=Request(0, None, End(), None, om.Horizon.chain(1)),
     )  # fmt: skip
     solution = at_random(solved, np.random.default_rng(1)).solution
     value = solution.value("largest_load")

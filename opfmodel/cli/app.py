@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import inspect, run, solve, study
+from opfmodel.cli import convert, inspect, look, powerflow, run, solve, study
 from opfmodel.cli.output import print_faults, print_json, print_line, remark, show_warning
 from opfmodel.errors import Fault, OpfmodelError
 
@@ -25,11 +25,16 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command("solve")(solve.solve)
+app.command("powerflow")(powerflow.powerflow)
 app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
+app.command("info")(look.info)
+app.command("convert")(convert.convert)
+app.command("init")(convert.init)
+app.command("doctor")(look.doctor)
 
 study_app = typer.Typer(help="Run and tabulate parameter studies.", invoke_without_command=True)
 app.add_typer(study_app, name="study")

@@ -21,8 +21,9 @@ from opfmodel.cli.reading import (
 from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
-    from opfmodel.model import Elastic
-    from opfmodel.plan import MultiStage
+    from opfmodel.check import Report
+    from opfmodel.plan import Plan
+    from opfmodel.simulation import Controller
 
 __all__ = ["solve"]
 
@@ -48,27 +49,30 @@ def solve(
 
     A scenario is solved for the first plan of its controller, with a perfect forecast.
     """
-    from opfmodel.check import check
-
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
     with solver_output(verbose):
-        problem, initial, prices = _problem(
+        controller, initial = _controller(
             file, {k: v for k, v in chosen.items() if v is not None}, default_cost, lossy, variant, set_
         )
+        problem = controller.problem
         problem.verbose = verbose
-        plan = problem.solve(initial=initial)
+        asked = controller.request(0)
+        plan = problem.solve(initial=initial, **asked)
         diagnosis = []
         if not plan.optimal and elastic:
-            diagnosis = [str(s) for s in problem.elastic_twin(prices).solve(initial=initial).shortages]
-    report = check(problem.network, plan.data, problem.profiles) if plan.optimal else None
+            twin = problem.elastic_twin(controller.elastic)
+            diagnosis = [str(s) for s in twin.solve(initial=initial, **asked).shortages]
+    report = _verified(controller, plan) if plan.optimal else None
     if json_:
         print_json(
             {
                 "status": plan.status,
                 "termination": plan.termination,
                 "objective": plan.objective if plan.optimal else None,
+                "expected_cost": plan.expected_cost if plan.optimal else None,
+                "scenario_costs": plan.scenario_costs if plan.optimal and controller.scenarios else {},
                 "currency": problem.network.currency,
                 "build_seconds": problem.build_seconds,
                 "solve_seconds": plan.solution.seconds,
@@ -90,16 +94,30 @@ def solve(
     return 0 if plan.optimal else 1
 
 
-def _problem(
+def _verified(controller: Controller, plan: Plan) -> Report:
+    """The independent check of a plan; of the scenario with the largest violation, if there are several."""
+    from opfmodel.check import check
+
+    problem, futures = controller.problem, controller.futures
+    series = [problem.profiles] if futures is None else futures.series
+    reports = [
+        check(problem.network, plan.scenario(name), own)
+        for name, own in zip(plan.horizon.scenarios, series, strict=True)
+    ]
+    return max(reports, key=lambda report: report.max_violation)
+
+
+def _controller(
     file: Path,
     chosen: Mapping[str, Any],
     default_cost: float | None,
     lossy: bool,
     variant: str | None,
     overrides: list[str] | None,
-) -> tuple[MultiStage, Mapping[str, Any] | None, Elastic | None]:
-    """The problem of a file, its initial state and the penalty prices of its elastic twin."""
+) -> tuple[Controller, Mapping[str, Any] | None]:
+    """The controller of a file, with a perfect forecast, and its initial state."""
     from opfmodel.plan import MultiStage
+    from opfmodel.simulation import Controller
 
     if is_scenario(file):
         if default_cost is not None:
@@ -110,7 +128,8 @@ def _problem(
         refuse_lossy(file, lossy)
         changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
         scenario = read_scenario(file, variant, overrides, changes)
-        return scenario.problem, scenario.initial(), scenario.elastic
+        planner = Controller(scenario.problem, elastic=scenario.elastic, scenarios=scenario.scenarios)
+        return planner, scenario.initial()
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return MultiStage(read_network_file(file, default_cost, lossy), **chosen), None, None
+    return Controller(MultiStage(read_network_file(file, default_cost, lossy), **chosen)), None

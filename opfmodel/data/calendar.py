@@ -13,9 +13,20 @@ import numpy.typing as npt
 
 from opfmodel.errors import ProfileError, shown
 
-__all__ = ["Calendar", "Times", "parse_stamp", "shown_in", "zone_of"]
+__all__ = [
+    "NANOSECONDS",
+    "Calendar",
+    "Times",
+    "duration",
+    "instants",
+    "parse_stamp",
+    "shown_in",
+    "stated_time",
+    "within_years",
+    "zone_of",
+]
 
-_NANOSECONDS = 3_600_000_000_000  # of an hour
+NANOSECONDS = 3_600_000_000_000  # of an hour
 _YEARS = np.datetime64("1700", "Y"), np.datetime64("2200", "Y")  # nanoseconds in 64 bits end in 2262
 _RANGE = "from the years 1700 to 2199"
 
@@ -60,11 +71,11 @@ class Calendar:
     @cached_property
     def _length(self) -> int:
         """Length of a step in nanoseconds."""
-        return round(self.step * _NANOSECONDS)
+        return round(self.step * NANOSECONDS)
 
     def has_step(self, hours: float) -> bool:
         """Whether a step has this length, to the nanosecond."""
-        return round(hours * _NANOSECONDS) == self._length
+        return round(hours * NANOSECONDS) == self._length
 
     def stamps(self, steps: int, first: int = 0) -> npt.NDArray[np.datetime64]:
         """Return the beginnings of ``steps`` steps from ``first`` on, in UTC."""
@@ -89,7 +100,7 @@ class Calendar:
         """
         if not self.has_step(other.step):
             raise ProfileError(
-                f"time series have steps of {self.step:g} h and of {other.step:g} h; "
+                f"time series have steps of {duration(self.step)}, not of {duration(other.step)}; "
                 "all series of a problem must have the same step"
             )
         steps, rest = divmod(int((other.start - self.start).astype(np.int64)), self._length)
@@ -106,43 +117,40 @@ class Calendar:
         return steps
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Times:
     """Beginnings of successive stages: hours, or time stamps where there is a calendar.
 
     Attributes
     ----------
-    first
-        Step of the first stage.
-    stages
-        Number of stages.
+    steps
+        Step at which each stage begins.
     step
-        Length of a stage, h.
+        Length of a step, h.
     """
 
-    first: int
-    stages: int
+    steps: npt.NDArray[np.intp]
     step: float
     calendar: Calendar | None = None
 
     @property
     def hours(self) -> npt.NDArray[np.float64]:
         """Hours at which the stages begin, counted from step 0."""
-        return (self.first + np.arange(self.stages, dtype=float)) * self.step
+        return np.asarray(self.steps * self.step, dtype=float)
 
     @property
     def shown(self) -> tuple[str, ...]:
         """Beginnings of the stages for messages: ``hour 3``, or local times."""
         if self.calendar is None:
             return tuple(f"hour {hour:g}" for hour in self.hours)
-        return tuple(map(self.calendar.shown, range(self.first, self.first + self.stages)))
+        return tuple(map(self.calendar.shown, self.steps.tolist()))
 
     def coordinate(self) -> tuple[str, npt.NDArray[Any], dict[str, str]]:
         """Return the coordinate ``time`` of results: hours, or times in UTC with the zone as an attribute."""
         about = {"long_name": "start of the stage"}
         if self.calendar is None:
             return "time", self.hours, {"units": "h", **about}
-        stamps = self.calendar.stamps(self.stages, self.first)
+        stamps = self.calendar.stamps(int(self.steps.max(initial=0)) + 1)[self.steps]
         return "time", stamps, {"zone": self.calendar.zone, **about}
 
 
@@ -165,17 +173,47 @@ def parse_stamp(text: str, zone: str) -> np.datetime64:
         raise ProfileError(
             f"{shown(text)}: must be a time in ISO 8601, such as 2025-03-29T00:00 or 2025-03-29T00:00+01:00"
         ) from None
-    if not _YEARS[0] <= np.datetime64(stated.year - 1970, "Y") < _YEARS[1]:
+    if not within_years(stated):
         raise ProfileError(f"{text}: must be {_RANGE}")
+    return np.datetime64(stated_time(stated, zone).replace(tzinfo=None))
+
+
+def within_years(time: datetime) -> bool:
+    """Whether nanoseconds can represent a time."""
+    return bool(_YEARS[0] <= np.datetime64(time.year - 1970, "Y") < _YEARS[1])
+
+
+def stated_time(stated: datetime, zone: str) -> datetime:
+    """Return a time in UTC.
+
+    Raises
+    ------
+    ProfileError
+        It does not exist in the zone, or exists twice.
+    """
     found = instants(stated, zone)
     if not found:
-        raise ProfileError(f"{text}: does not exist in {zone}, where clocks are put forward over it")
+        raise ProfileError(f"{stated}: does not exist in {zone}, where clocks are put forward over it")
     if len(found) > 1:
-        offsets = " or ".join(f"{stated}{each.astimezone(zone_of(zone)):%z}" for each in found)
+        offsets = " or ".join(each.astimezone(zone_of(zone)).isoformat() for each in found)
         raise ProfileError(
-            f"{text}: exists twice in {zone}, where clocks are put back over it; write {offsets}"
+            f"{stated}: exists twice in {zone}, where clocks are put back over it; write {offsets}"
         )
-    return np.datetime64(found[0].replace(tzinfo=None))
+    return found[0]
+
+
+def duration(hours: float) -> str:
+    """Return the length of a step in words.
+
+    Examples
+    --------
+    >>> duration(0.25), duration(2.0), duration(1e-4)
+    ('15 min', '2 h', '0.36 s')
+    """
+    for unit, of_an_hour in (("h", 1.0), ("min", 60.0)):
+        if hours * of_an_hour >= 1.0:
+            return f"{hours * of_an_hour:g} {unit}"
+    return f"{hours * 3600.0:g} s"
 
 
 def instants(stated: datetime, zone: str) -> list[datetime]:

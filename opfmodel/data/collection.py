@@ -82,8 +82,15 @@ class Faults:
 
     def broken(self, *key: str | int) -> bool:
         """Whether there is a fault at a key, inside its value, or in a value that contains it."""
-        keys = (*(fault.key for fault in self._found if fault.key), *self._spoilt)
-        return any(_overlap(fault, key) for fault in keys)
+        return any(_overlap(fault, key) for fault in self._keys())
+
+    def lost(self, *key: str | int) -> bool:
+        """Whether there is a fault at a key, or in a value that contains it."""
+        return any(fault == key[: len(fault)] for fault in self._keys())
+
+    def _keys(self) -> Iterator[tuple[str | int, ...]]:
+        yield from (fault.key for fault in self._found if fault.key)
+        yield from self._spoilt
 
     def error(self) -> ScenarioError:
         """Return one error with all faults, in order of position."""

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Calendar
-from opfmodel.errors import ProfileError
+from opfmodel.data.frames import is_frame, without_index
+from opfmodel.errors import ProfileError, shown
 
 __all__ = ["Profiles", "SeriesKey"]
 
@@ -58,9 +59,11 @@ class Profiles(Mapping[SeriesKey, Array]):
     ----------
     series
         Values by component and field (``p`` of a load, ``p_max`` or ``c1`` of a generator, ``rating`` of
-        a branch).
+        a branch). Series and DataFrames of pandas may have a DatetimeIndex, the beginnings of the steps;
+        without a zone it is in that of the calendar, or in UTC. All must have the same step.
     calendar
-        Time stamps of the steps; None if the steps are only numbered.
+        Time stamps of the steps. By default the first step is the first one that all indices have, and
+        steps are only numbered if there are none.
 
     Attributes
     ----------
@@ -82,12 +85,10 @@ class Profiles(Mapping[SeriesKey, Array]):
     def __init__(
         self, series: Mapping[Any, npt.ArrayLike] | None = None, calendar: Calendar | None = None
     ) -> None:
-        self.calendar = calendar
+        stated = {} if series is None else series
+        given, self.calendar = without_index({SeriesKey.of(key): v for key, v in stated.items()}, calendar)
         self.repeats = False
-        self._series = {
-            named: _vector(named, values)
-            for named, values in ((SeriesKey.of(key), values) for key, values in (series or {}).items())
-        }
+        self._series = {key: _vector(key, values) for key, values in given.items()}
 
     @classmethod
     def of(cls, series: Mapping[Any, npt.ArrayLike] | None) -> Profiles:
@@ -100,8 +101,10 @@ class Profiles(Mapping[SeriesKey, Array]):
         """
         if isinstance(series, Profiles):
             return series
-        if series is not None and not isinstance(series, Mapping):
-            raise ProfileError(f"profiles = {series!r}: must be a mapping {{'component.field': values}}")
+        if series is not None and not (isinstance(series, Mapping) or is_frame(series)):
+            raise ProfileError(
+                f"profiles = {shown(series)}: must be a mapping {{'component.field': values}} or a DataFrame"
+            )
         return cls(series)
 
     def __getitem__(self, key: object) -> Array:

@@ -36,7 +36,7 @@ class StorageDevice(Device):
         n, step = len(table), model.step
         low, high = ("power_min", "power_max") if model.reactive else (_lowest, _highest)
         ps = model.variable("storage", "ps", low, high, unit="MW", description="charging power")
-        e = model.stock(
+        e, e_next = model.stock(
             "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
         )
         qs = None
@@ -56,16 +56,17 @@ class StorageDevice(Device):
             lambda solution, _: solution.dual("e_dynamics"),
             "$/MWh",
             "value of one more MWh stored at the end of the stage",
+            rate=False,
         )
         kept = 1.0 - step * table.standing_loss
-        gone = np.flatnonzero(kept < 0.0)
+        gone = np.flatnonzero((kept < 0.0).any(axis=1))
         if gone.size:
-            first = gone[0]
+            first, longest = gone[0], float(np.max(step))
             raise IncompatibleError(
                 f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
-                f"is stored in a stage of {step:g} h; must be at most {1.0 / step:g} per hour"
+                f"is stored in a stage of {longest:g} h; must be at most {1.0 / longest:g} per hour"
             )
-        change = e[:, 1:] - kept * e[:, :-1]
+        change = e_next - kept * e
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
         dynamics = model.build.rows("e_dynamics", n, model.stages)
         model.build.add(change, into=dynamics)

@@ -47,6 +47,27 @@ class Forecast:
         """
         raise NotImplementedError
 
+    def paths(self, issued: Profiles, time: int, number: int, seed: int) -> list[Profiles]:  # noqa: ARG002
+        """Draw paths of the actual series around a forecast, for a forecast with an error model.
+
+        A path depends on what was issued and on its arguments, never on what really happens.
+
+        Parameters
+        ----------
+        issued
+            The forecast issued at step ``time``, from that step on.
+        number
+            Number of paths.
+        seed
+            Seed of the random numbers.
+
+        Raises
+        ------
+        ProfileError
+            The forecast has no error model.
+        """
+        raise ProfileError(f"{type(self).__name__}: cannot draw paths; noisy can, and file if it has members")
+
 
 def forecast_fields(forecast: str, fields: Sequence[str]) -> tuple[str, ...]:
     """Check and return the fields that a forecast is to forecast.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 
 import numpy as np
@@ -24,7 +25,10 @@ class Noisy(Forecast):
     with independent standard normal :math:`\eta_h`. The standard deviation of the relative error is
     :math:`\sigma` for the step about to begin, and grows with the lead time to
     :math:`\sigma / \sqrt{1 - \phi^2}`. The fields of a component share one error, which preserves
-    power factors. The draws depend only on the seed, the component and the step.
+    power factors. The draws depend only on the seed, the component and the step. A share of the variance is
+    common to all components; independent errors of many components would cancel in their sum.
+
+    Paths of the actual series are drawn around a forecast with the same errors.
 
     Parameters
     ----------
@@ -36,6 +40,8 @@ class Noisy(Forecast):
         :math:`\phi`, at least 0 and below 1.
     fields
         Fields of loads and generators that are forecast; others are known.
+    common_share
+        Share of the variance of the errors that is common to all components, from 0 to 1.
     """
 
     def __init__(
@@ -44,6 +50,7 @@ class Noisy(Forecast):
         seed: int,
         correlation: float = 0.9,
         fields: tuple[str, ...] = FORECAST_FIELDS,
+        common_share: float = 0,
     ) -> None:
         self.deviation = number_within("noisy: deviation", deviation, at_least=0, error=ProfileError)
         self.correlation = number_within(
@@ -51,22 +58,40 @@ class Noisy(Forecast):
         )
         self.seed = integer("noisy: seed", seed, at_least=0, error=ProfileError)
         self.fields = forecast_fields("noisy", fields)
+        self.common_share = number_within(
+            "noisy: common_share", common_share, at_least=0, at_most=1, error=ProfileError
+        )
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Return the actual series with errors."""
-        expected = part(actual, time, stages)
-        for key, values in expected.items():
-            if key.field in self.fields:
-                factor = np.maximum(0.0, 1.0 + self.error(key.component, time, stages))
-                expected[key] = values * factor[: values.size]
-        return Profiles(expected)
+        return self._with_errors(Profiles(part(actual, time, stages)), stages, [self.seed, time])
 
-    def error(self, component: str, time: int, stages: int) -> Array:
-        """Return the relative errors of a forecast for a component, made at step ``time``."""
-        entropy = [self.seed, time, zlib.crc32(component.encode())]
-        drawn = np.random.default_rng(entropy).standard_normal(stages)
+    def paths(self, issued: Profiles, time: int, number: int, seed: int) -> list[Profiles]:
+        """Return the issued series with errors, one draw for each path."""
+        stages = max(map(len, issued.values()), default=0)
+        return [self._with_errors(issued, stages, [seed, time, path]) for path in range(number)]
+
+    def _with_errors(self, series: Profiles, stages: int, entropy: list[int]) -> Profiles:
+        """Multiply series by one plus the errors drawn for their components."""
+        drawn: dict[str, Array] = {}
+        common = self._error(entropy, stages, self.common_share)
+        made = dict(series)
+        for key, values in series.items():
+            if key.field in self.fields:
+                name = key.component
+                if name not in drawn:
+                    own = self._error([*entropy, zlib.crc32(name.encode())], stages, 1.0 - self.common_share)
+                    drawn[name] = np.maximum(0.0, 1.0 + own + common)
+                made[key] = values * drawn[name][: values.size]
+        return Profiles(made)
+
+    def _error(self, entropy: list[int], stages: int, share: float) -> Array:
+        """Return relative errors with a share of the variance."""
+        if not share:
+            return np.zeros(stages)
+        deviation = math.sqrt(share) * self.deviation
         error, errors = 0.0, np.empty(stages)
-        for ahead, shock in enumerate(drawn):
-            error = self.correlation * error + self.deviation * shock
+        for ahead, shock in enumerate(np.random.default_rng(entropy).standard_normal(stages)):
+            error = self.correlation * error + deviation * shock
             errors[ahead] = error
         return errors

@@ -174,10 +174,10 @@ def limit_flows(model: Model, **flows: Expression) -> None:
 
 
 def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnitNetwork], Array]) -> None:
-    """Report the value of one more MVA of rating; ``read`` returns it for the branches ``members``."""
+    """Report the value of one more MVA of rating; ``read`` returns that of the branches ``members``."""
 
     def spread(solution: Solution, network: PerUnitNetwork) -> Array:
-        limited = read(solution, network) / model.step
+        limited = read(solution, network)
         price = np.zeros((len(network.branch), limited.shape[1]))
         price[members] = limited
         return price

@@ -139,7 +139,7 @@ class CustomConstraint:
         if stages == model.stages:
             model.price(
                 "" if items == 1 else f"{self.name}_item", self.price,
-                lambda solution, _: -solution.dual(rows.name) / model.step,
+                lambda solution, _: -solution.dual(rows.name),
                 "$/h", f"increase in cost per unit increase of the right-hand side of {self.name!r}",
             )  # fmt: skip
         elif self.limited:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
@@ -44,13 +45,24 @@ class Price:
     Attributes
     ----------
     read
-        Function that returns the price as an array ``(items, stages)`` in $ and per unit.
+        Function that returns the price as an array ``(items, stages)`` in $ and per unit: the change of the
+        objective, in which stages weigh with their probability and, if ``rate``, with their length.
+    rate
+        Whether the price is that of one more unit over an hour, as of power, and not of one more unit once,
+        as of stored energy.
     """
 
     kind: str
     unit: str
     description: str
     read: Callable[[Solution, PerUnitNetwork], Array]
+    rate: bool = True
+
+    def values(self, solution: Solution, network: PerUnitNetwork, horizon: Horizon) -> Array:
+        """Return the price in every stage, given that this stage occurs; zero if it cannot."""
+        weights = horizon.weights if self.rate else horizon.probability
+        total = self.read(solution, network)
+        return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
 
 @dataclass(frozen=True)
@@ -107,15 +119,28 @@ class State:
 
 @dataclass(frozen=True)
 class BoundSource:
-    """Source of the bounds of a block, evaluated in every solve to follow the time series."""
+    """Source of the bounds of a block, evaluated in every solve to follow the time series.
+
+    Attributes
+    ----------
+    nodes
+        Node whose bounds apply to each column, if there is not one per node. Limits hold at the end of a
+        stage; those of the first one apply before it too, which is node -1.
+    """
 
     kind: str
     lower: Bound
     upper: Bound
+    nodes: Index | None = None
 
     def resolve(self, table: Table) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the bounds as arrays."""
-        return resolved(table, self.lower), resolved(table, self.upper)
+        """Return the bounds as arrays of one column, or of one per column of the block."""
+        return self._at_nodes(resolved(table, self.lower)), self._at_nodes(resolved(table, self.upper))
+
+    def _at_nodes(self, bound: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        if self.nodes is None or bound.ndim < 2 or bound.shape[1] == 1:
+            return bound
+        return np.asarray(bound[:, np.maximum(self.nodes, 0)])
 
 
 def resolved(table: Table, bound: Bound) -> npt.NDArray[Any]:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.units import scale
@@ -90,9 +91,6 @@ class Soft:
         Whether the rows limit the square of the quantity; the slack is that of the quantity itself.
     share
         Share of the price that each row bears if several rows state one limit.
-    first
-        Stage of the first column of the rows; -1 for values at the ends of stages, None for rows of the
-        last stage.
     noun
         Word for the components in the sentences; their kind by default.
     names
@@ -109,7 +107,6 @@ class Soft:
     price: Literal["limit", "shedding", "balance"] = "limit"
     squared: bool = False
     share: float = 1.0
-    first: int | None = 0
     noun: str = ""
     names: tuple[str, ...] = ()
     timed: bool = True
@@ -131,12 +128,15 @@ class Slack:
     ----------
     block
         Name of the variable block or output.
+    nodes
+        Node of each column, if there is not one per node; -1 for values before the first.
     """
 
     block: str
     kind: str
     soft: Soft
     side: Side
+    nodes: Index | None = None
 
     def parts(self, values: Array) -> list[tuple[Side, Array]]:
         """Return the violation on each side, p.u., from the positive and negative values of the variable."""
@@ -145,10 +145,11 @@ class Slack:
     def spread(self, amounts: Array, items: int, stages: int) -> Array:
         """Return the amounts of all components of the kind in all stages, ``(items, stages)``."""
         out = np.zeros((items, stages))
-        first = stages - amounts.shape[1] if self.soft.first is None else self.soft.first
-        amounts = amounts[:, max(-first, 0) :][:, : stages - max(first, 0)]
-        first = max(first, 0)
-        np.add.at(out[:, first : first + amounts.shape[1]], self.soft.members, amounts)
+        nodes = np.arange(stages) if self.nodes is None else self.nodes
+        skipped = nodes.size - amounts.shape[1]  # by a plan that ends with the data
+        nodes = np.minimum(nodes[skipped:] - skipped, stages - 1)
+        kept = np.flatnonzero(nodes >= 0)
+        np.add.at(out, np.ix_(self.soft.members, nodes[kept]), amounts[:, kept])
         return out
 
 
@@ -168,10 +169,10 @@ class Shortage:
         Hour at which each stage begins; empty if the amounts do not belong to stages.
     moments
         The same as text, such as ``hour 3`` or a local time.
-    step
-        Hours per stage.
+    horizon
+        The nodes in time that the stages are.
     cost
-        Amount times the price of the elastic problem, $.
+        Amount times the price of the elastic problem, weighted with probability, $.
     """
 
     kind: str
@@ -181,7 +182,7 @@ class Shortage:
     amounts: Array
     hours: Array
     moments: tuple[str, ...]
-    step: float
+    horizon: Horizon
     cost: float
 
     @property
@@ -201,11 +202,13 @@ class Shortage:
         if not self.hours.size:
             return text
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
-        text += f" at {self.moments[first]}"
+        scenario = self.horizon.scenario[first]
+        text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
-                total = f", {_figure(float(self.amounts.sum()) * self.step)} {_TOTALS[self.unit]} in all"
+                energy = _figure(float(self.amounts @ self.horizon.weights))
+                total = f", {energy} {_TOTALS[self.unit]} {'in all' if self.horizon.is_chain else 'expected'}"
             text += f" (in {short.size} stages{total})"
         return text
 
@@ -215,7 +218,7 @@ def shortages(
     solution: Solution,
     network: PerUnitNetwork,
     prices: Elastic,
-    step: float,
+    horizon: Horizon,
     times: Times,
 ) -> tuple[Shortage, ...]:
     """Return the shortfalls of a network, the most expensive first.
@@ -224,8 +227,8 @@ def shortages(
     ----------
     solution
         The solution to report.
-    times
-        Beginnings of the stages.
+    horizon, times
+        The nodes in time, and when each begins.
     """
     hours = times.hours
     found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
@@ -234,7 +237,8 @@ def shortages(
         names = soft.names or network.tables[slack.kind].names
         for side, part in slack.parts(solution.value(slack.block)):
             spread = slack.spread(part, len(names), hours.size) if soft.timed else part
-            priced = float(getattr(prices, soft.price)) * spread * step
+            weights = horizon.weights if soft.timed else horizon.weights[:1]
+            priced = float(getattr(prices, soft.price)) * spread * weights
             for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > LEAST):
                 key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
                 none = np.zeros(spread.shape[1])
@@ -248,7 +252,7 @@ def shortages(
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
         timed = (hours, moments) if soft.timed else (hours[:0], ())
-        made.append(Shortage(kind, component, soft, side, physical, *timed, step, total))
+        made.append(Shortage(kind, component, soft, side, physical, *timed, horizon, total))
     return tuple(sorted(made, key=lambda shortage: -shortage.cost))
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
+from opfmodel.horizon import Horizon
 from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
@@ -47,8 +47,10 @@ class Model:
     ----------
     network
         Arrays of the network.
-    stages, step
-        Number of stages, and length of a stage in hours.
+    horizon
+        The nodes in time; each is a stage.
+    delay
+        1 if the dispatch of a node is decided at its parent, so that siblings share it; else 0.
     reactive
         Whether the formulation balances reactive power.
     zones
@@ -66,8 +68,15 @@ class Model:
 
     Attributes
     ----------
+    stages
+        Number of nodes.
+    step
+        Length of each node in hours: a number if all are equal, else an array ``(1, stages)``.
+    weight
+        Probability times length of each node, in h: a number if all are equal, an array ``(1, stages)``, or a
+        parameter if the probabilities may vary.
     starts
-        Number of stages at which plans may begin.
+        Nodes at which plans may begin.
     series
         Fields that have time series, by ``(kind, field)``.
     slacks
@@ -81,9 +90,9 @@ class Model:
     def __init__(
         self,
         network: PerUnitNetwork,
-        stages: int,
-        step: float,
+        horizon: Horizon,
         *,
+        delay: int = 0,
         reactive: bool,
         zones: Index,
         series: Iterable[tuple[str, str]] = (),
@@ -99,13 +108,20 @@ class Model:
         self.shares: list[str] = []
         self.split_shedding = split_shedding
         self.penalties: list[Expression] = []
-        self.stages = stages
-        self.starts = stages if shrinks else 1
-        self.step = step
+        self.horizon = horizon
+        self.delay = delay
+        self.stages = stages = len(horizon)
+        self.step = _per_node(horizon.hours)
+        self.starts = np.arange(stages) if shrinks else horizon.roots
         self.reactive = reactive
         self.zones = zones
-        noun = "stage" if stages == 1 else "stages"
-        self.build = ProgramBuilder(f"{network.name}, {stages} {noun} of {step:g} h")
+        self.build = ProgramBuilder(f"{network.name}, {horizon}", ordered=horizon.is_chain)
+        self.probability = (
+            self.build.parameter("probability", 1, stages, horizon.probability)
+            if horizon.varying
+            else horizon.probability[None, :]
+        )
+        self.weight = self._hours_of(np.arange(stages))
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -151,7 +167,7 @@ class Model:
         unit: str,
         description: str = "",
         start: npt.ArrayLike | None = None,
-        points: int | None = None,
+        nodes: Index | None = None,
         publish: bool = True,
         soft: Soft | None = None,
     ) -> Expression:
@@ -164,8 +180,8 @@ class Model:
             their time series in every solve.
         unit
             Physical unit of the quantity.
-        points
-            Number of points in time, if it differs from the number of stages.
+        nodes
+            Node to which each column belongs, if there is not one per node; -1 for values before the first.
         soft
             How the bounds are softened in an elastic problem; by default they stay hard. Soft bounds
             become the rows ``name_limit``; the variable itself keeps at most a lower bound of zero.
@@ -177,15 +193,33 @@ class Model:
         if start is None:
             start = _middle(low, high)
         if soft is None or self.elastic is None:
-            values = self.build.variable(name, len(table), points or self.stages, low, high, start)
-            self.bounds[name] = BoundSource(kind, lower, upper)
+            values = self.build.variable(name, len(table), self._columns(nodes), low, high, start)
+            self.bounds[name] = BoundSource(kind, lower, upper, nodes)
         else:
             least = np.where(low >= 0.0, 0.0, -np.inf)
-            values = self.build.variable(name, len(table), points or self.stages, least, np.inf, start)
-            self.rows(kind, f"{name}_limit", values, lower, upper, soft)
+            values = self.build.variable(name, len(table), self._columns(nodes), least, np.inf, start)
+            self.rows(kind, f"{name}_limit", values, lower, upper, soft, nodes)
         if publish:
             self.publish(kind, name, values, unit=unit, description=description)
         return values
+
+    def _columns(self, nodes: Index | None) -> int:
+        return self.stages if nodes is None else nodes.size
+
+    def previous(self, values: Any) -> Any:
+        """Return a quantity at the parent of each node that has one, in the order of :attr:`Horizon.inner`.
+
+        ``model.current(x) - model.previous(x)`` is the change of ``x`` from stage to stage, on every horizon.
+        """
+        return values[:, self.horizon.parent[self.horizon.inner]]
+
+    def current(self, values: Any) -> Any:
+        """Return a quantity at the nodes that have a parent; see :meth:`previous`."""
+        return values[:, self.horizon.inner]
+
+    def leaves(self, values: Any) -> Any:
+        """Return a quantity at the end of the horizon: at the last node of each scenario."""
+        return values[:, self.horizon.leaves]
 
     def dispatch(
         self,
@@ -200,7 +234,8 @@ class Model:
     ) -> Expression:
         """Declare a dispatched quantity with limited change from stage to stage.
 
-        ``|x(k) - x(k-1)| <= ramp * step``, where the first stage follows the value applied last.
+        ``|x(k) - x(parent of k)| <= ramp * h``, with the mean length h of the two stages. The first stage
+        follows the value applied last. With a delay of 1, the children of a node share their dispatch.
 
         Parameters
         ----------
@@ -210,45 +245,60 @@ class Model:
         values = self.variable(kind, name, lower, upper, unit=unit, description=description)
         ramped = None
         if ramp is not None:
-            table = self.network.tables[kind]
-            ramped = np.flatnonzero(np.isfinite(table.arrays[ramp]))
-            moving = values[ramped]
-
-            def limit(t: Table, sign: float = 1.0) -> npt.NDArray[Any]:
-                return np.asarray(sign * t.arrays[ramp][ramped] * self.step)
-
-            def floor(t: Table) -> npt.NDArray[Any]:
-                return limit(t, -1.0)
-
-            soft = Soft(
-                "ramp", ramped, unit,
-                below="must fall {} faster than its ramp allows",
-                above="must rise {} faster than its ramp allows",
-            )  # fmt: skip
-            if self.stages > 1 and ramped.size:
-                change = moving[:, 1:] - moving[:, :-1]
-                self.rows(kind, f"{name}_ramp", change, floor, limit, replace(soft, first=1))
-            if ramped.size:  # each solve enables or frees it through its bounds
-                before = self.build.parameter(f"{name}_previous", ramped.size)
-                first = self.starts
-                self.rows(
-                    kind, f"{name}_ramp_first", moving[:, :first] - before,
-                    lambda t: floor(t)[:, :first], lambda t: limit(t)[:, :first], soft,
-                )  # fmt: skip
-                self.price(
-                    kind, f"{name}_ramp_price", self._ramp_price(name, len(table), ramped),
-                    "$/MW", "value of one more MW of change since the previous stage",
-                )  # fmt: skip
+            ramped = np.flatnonzero(np.isfinite(self.network.tables[kind].arrays[ramp]))
+            if ramped.size:
+                self._ramp(kind, name, values, unit, ramp, ramped)
+        later, eldest = self.horizon.siblings
+        if self.delay == 1 and later.size:
+            self.rows(kind, f"{name}_shared", values[:, later] - values[:, eldest], 0.0, 0.0)
         self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
         return values
 
+    def _ramp(self, kind: str, name: str, values: Expression, unit: str, ramp: str, ramped: Index) -> None:
+        """Limit the change of some items of a dispatch from stage to stage."""
+        horizon, moving = self.horizon, values[ramped]
+        lengths = np.where(
+            horizon.parent < 0, horizon.hours, 0.5 * (horizon.hours + horizon.hours[horizon.parent])
+        )
+        hours = _per_node(lengths)
+
+        def most(table: Table) -> npt.NDArray[Any]:
+            return np.asarray(table.arrays[ramp][ramped] * hours)
+
+        def least(table: Table) -> npt.NDArray[Any]:
+            return -most(table)
+
+        soft = Soft(
+            "ramp", ramped, unit,
+            below="must fall {} faster than its ramp allows",
+            above="must rise {} faster than its ramp allows",
+        )  # fmt: skip
+        if horizon.inner.size:
+            change = self.current(moving) - self.previous(moving)
+            self.rows(kind, f"{name}_ramp", change, least, most, soft, horizon.inner)
+        before = self.build.parameter(f"{name}_previous", ramped.size)
+        # each solve enables or frees it through its bounds
+        self.rows(kind, f"{name}_ramp_first", moving[:, self.starts] - before, least, most, soft, self.starts)
+        self.price(
+            kind, f"{name}_ramp_price", self._ramp_price(name, len(self.network.tables[kind]), ramped),
+            "$/MW", "value of one more MW of change since the previous stage",
+            rate=False,
+        )  # fmt: skip
+
     def _ramp_price(self, name: str, items: int, ramped: Index) -> Callable[..., Array]:
+        rows = ("ramp", "ramp_first") if self.horizon.inner.size else ("ramp_first",)
+
         def read(solution: Solution, _: PerUnitNetwork) -> Array:
+            duals = {row: np.abs(solution.dual(f"{name}_{row}")) for row in rows}
+            first = duals["ramp_first"]
             stages = solution.dual(self.balance_p.name).shape[1]
+            skipped = self.stages - stages  # by a plan that ends with the data
+            roots = self.horizon.roots if not skipped else np.zeros(1, dtype=np.intp)
+            inner = self.horizon.inner[self.horizon.parent[self.horizon.inner] >= skipped] - skipped
             price = np.zeros((items, stages))
-            if stages > 1:
-                price[ramped, 1:] = np.abs(solution.dual(f"{name}_ramp"))
-            price[ramped, :1] = np.abs(solution.dual(f"{name}_ramp_first")[:, :1])
+            price[np.ix_(ramped, roots)] = first[:, : roots.size]
+            if inner.size:
+                price[np.ix_(ramped, inner)] = duals["ramp"][:, -inner.size :]
             return price
 
         return read
@@ -263,37 +313,38 @@ class Model:
         unit: str,
         description: str = "",
         initial: str | None = None,
-    ) -> Expression:
-        """Declare a stored quantity with ``stages + 1`` points, the first of which is the initial value.
+    ) -> tuple[Expression, Expression]:
+        """Declare a stored quantity, with its initial value and its value at the end of each stage.
 
-        The points at the start of each stage are published as ``name``, those at the end as ``name_next``.
-        The rows that tie the last point to the first are free unless a solve requires a cyclic end, and
-        the final value is worth nothing unless a solve sets its price.
+        A stage starts where its parent ended. The values at the start of each stage are published as
+        ``name``, those at the end as ``name_next``. The rows that tie the end of the horizon to its
+        beginning are free unless a solve requires a cyclic end, and the final value is worth nothing unless
+        a solve sets its price.
+
+        Returns
+        -------
+        Expression, Expression
+            The values at the start and at the end of each stage.
         """
-        items = np.arange(len(self.network.tables[kind]))
-        soft = Soft(
-            "stock", items, unit, "is {} below its minimum", "is {} above its capacity", "balance", first=-1
-        )
-        values = self.variable(
-            kind, name, lower, upper, unit=unit, points=self.stages + 1, publish=False, soft=soft
-        )
-        self.publish(
-            kind, name, values[:, :-1], unit=unit, description=f"{description} at the start of a stage"
-        )
-        self.publish(
-            kind, f"{name}_next", values[:, 1:], unit=unit, description=f"{description} at the end of a stage"
-        )
-        cyclic = self.build.rows(f"{name}_cyclic", values.items, 1, -np.inf, np.inf)
-        self.build.add(values[:, -1:] - values[:, :1], into=cyclic)
-        end = Soft(
+        horizon, items = self.horizon, np.arange(len(self.network.tables[kind]))
+        soft = Soft("stock", items, unit, "is {} below its minimum", "is {} above its capacity", "balance")
+        nodes = np.arange(-1, self.stages)
+        values = self.variable(kind, name, lower, upper, unit=unit, nodes=nodes, publish=False, soft=soft)
+        start, end = values[:, horizon.parent + 1], values[:, np.arange(self.stages) + 1]
+        self.publish(kind, name, start, unit=unit, description=f"{description} at the start of a stage")
+        self.publish(kind, f"{name}_next", end, unit=unit, description=f"{description} at the end of a stage")
+        last = self.leaves(end)
+        cyclic = self.build.rows(f"{name}_cyclic", values.items, last.stages, -np.inf, np.inf)
+        self.build.add(last - values[:, 0], into=cyclic)
+        tied = Soft(
             "cyclic end", items, unit,
-            "ends {} short of where it began", "ends {} above where it began",
-            "balance", first=None,
+            "ends {} short of where it began", "ends {} above where it began", "balance",
         )  # fmt: skip
-        self.soften(kind, cyclic, end)
-        self.build.minimize(-self.build.parameter(f"{name}_end_price", 1) * values[:, -1:])
+        self.soften(kind, cyclic, tied, nodes=horizon.leaves)
+        worth = self.build.parameter(f"{name}_end_price", 1) * last
+        self.build.minimize(-self.probability_of(horizon.leaves) * worth)
         self.states[name] = State(name, kind, unit, "stock", initial)
-        return values
+        return start, end
 
     # Rows and costs ----------------------------------------------------------------------
 
@@ -311,22 +362,31 @@ class Model:
         lower: Bound,
         upper: Bound,
         soft: Soft | None = None,
+        nodes: Index | None = None,
     ) -> Rows:
-        """State ``lower <= body <= upper``; bounds and ``soft`` as for :meth:`variable`."""
+        """State ``lower <= body <= upper``; bounds, ``soft`` and ``nodes`` as for :meth:`variable`."""
         items = 1 if isinstance(body, Sum) else body.items
-        rows = self._rows(kind, name, items, body.stages, lower, upper, soft)
+        rows = self._rows(kind, name, items, body.stages, lower, upper, soft, nodes)
         self.build.add(body, into=rows)
         return rows
 
     def _rows(
-        self, kind: str, name: str, items: int, stages: int, lower: Bound, upper: Bound, soft: Soft | None
+        self,
+        kind: str,
+        name: str,
+        items: int,
+        stages: int,
+        lower: Bound,
+        upper: Bound,
+        soft: Soft | None,
+        nodes: Index | None = None,
     ) -> Rows:
-        table = self.network.tables[kind]
-        low, high = resolved(table, lower), resolved(table, upper)
+        source = BoundSource(kind, lower, upper, nodes)
+        low, high = source.resolve(self.network.tables[kind])
         rows = self.build.rows(name, items, stages, low, high)
-        self.bounds[name] = BoundSource(kind, lower, upper)
+        self.bounds[name] = source
         if soft is not None:
-            self.soften(kind, rows, soft, lower, upper)
+            self.soften(kind, rows, soft, lower, upper, nodes=nodes)
         return rows
 
     def regularise(self, values: Expression) -> None:
@@ -336,13 +396,13 @@ class Model:
         the user chooses the weight.
         """
         if self.regularisation:
-            self.build.minimize(self.regularisation * self.step * total(values**2))
+            self.build.minimize(self.regularisation * total(values**2) * self.weight)
 
     # Soft limits -------------------------------------------------------------------------
 
-    def slack(self, kind: str, name: str, soft: Soft, side: Side, stages: int | None = None) -> Expression:
+    def slack(self, kind: str, name: str, soft: Soft, side: Side, nodes: Index | None = None) -> Expression:
         """Declare the violation of limits on one side, penalised in an elastic problem."""
-        return self._slack(Slack(name, kind, soft, side), stages or self.stages)
+        return self._slack(Slack(name, kind, soft, side, nodes))
 
     def soften(
         self,
@@ -352,6 +412,7 @@ class Model:
         lower: Bound = 0.0,
         upper: Bound = 0.0,
         names: tuple[str, str] | None = None,
+        nodes: Index | None = None,
     ) -> None:
         """Soften rows in an elastic problem: ``lower <= rows + below - above <= upper``.
 
@@ -361,6 +422,8 @@ class Model:
             Bounds of the rows; a side that is infinite for all items needs no slack.
         names
             Names of the two variables; by default ``rows_below`` and ``rows_above``.
+        nodes
+            Node to which each column of the rows belongs, as for :meth:`variable`.
         """
         if self.elastic is None:
             return
@@ -368,17 +431,18 @@ class Model:
         for name, side, bound in ((below, Side.BELOW, lower), (above, Side.ABOVE, upper)):
             table = self.network.tables.get(kind, self.network.bus)  # constraints have numeric bounds
             if soft.sentence(side) and np.isfinite(resolved(table, bound)).any():
-                exceeded = self._slack(Slack(name, kind, soft, side), rows.index.shape[1])
+                exceeded = self._slack(Slack(name, kind, soft, side, nodes), rows.index.shape[1])
                 if soft.squared:  # (limit ± slack)² in place of limit²
                     limit = self._number(kind, f"{name}_limit", _root(bound), rows.index.shape)
                     exceeded = 2.0 * limit * exceeded + side.value * exceeded**2
                 self.build.add(-side.value * exceeded, into=rows)
 
-    def _slack(self, slack: Slack, stages: int) -> Expression:
+    def _slack(self, slack: Slack, columns: int | None = None) -> Expression:
         assert self.elastic is not None
-        soft = slack.soft
-        values = self.build.variable(slack.block, soft.members.size, stages, 0.0, np.inf)
-        self.penalise(self.penalty(soft) * values)
+        soft, nodes = slack.soft, slack.nodes
+        columns = self._columns(nodes) if columns is None else columns
+        values = self.build.variable(slack.block, soft.members.size, columns, 0.0, np.inf)
+        self.penalise(self.penalty(soft, nodes) * values)
         self.slacks[slack.block] = slack
         return values
 
@@ -392,11 +456,26 @@ class Model:
         self.penalties.append(cost)
         self.build.minimize(cost)
 
-    def penalty(self, soft: Soft) -> float:
-        """Return the penalty in $ of one internal unit of a soft limit over a stage."""
+    def probability_of(self, nodes: Index) -> Any:
+        """Return the probability of nodes, in the form of :attr:`weight`."""
+        chosen = self.probability[:, nodes]
+        return chosen if isinstance(chosen, Expression) else _per_node(chosen[0])
+
+    def _hours_of(self, nodes: Index) -> Any:
+        """Return probability times length of nodes, in the form of :attr:`weight`."""
+        if isinstance(self.probability, Expression):
+            return self.probability[:, nodes] * self.horizon.hours[None, nodes]
+        return _per_node(self.horizon.weights[nodes])
+
+    def penalty(self, soft: Soft, nodes: Index | None = None) -> Any:
+        """Return the penalty in $ of one internal unit of a soft limit over each stage.
+
+        Values before the first stage weigh as much as those of the first one.
+        """
         assert self.elastic is not None
         unit = self.network.base_mva if soft.unit else 1.0
-        return soft.share * float(getattr(self.elastic, soft.price)) * unit * self.step
+        weights = self.weight if nodes is None else self._hours_of(np.maximum(nodes, 0))
+        return soft.share * float(getattr(self.elastic, soft.price)) * unit * weights
 
     def _soften_balance(self) -> None:
         """Add penalised slack injections and withdrawals at every bus, or in every zone."""
@@ -495,14 +574,15 @@ class Model:
         read: Callable[[Solution, PerUnitNetwork], Array],
         unit: str,
         description: str,
+        rate: bool = True,
     ) -> None:
-        """Name a shadow price: the value of one more unit, independent of the back end."""
+        """Name a shadow price, the value of one more unit; ``read`` and ``rate`` as in :class:`Price`."""
         self._name(name)
-        self.prices[name] = Price(kind, unit, description, read)
+        self.prices[name] = Price(kind, unit, description, read, rate)
 
     def _balance_price(self, rows: str) -> Callable[[Solution, PerUnitNetwork], Array]:
         # more demand lowers the right-hand side of the balance
-        return lambda solution, _: -solution.dual(rows)[self.zones] / self.step
+        return lambda solution, _: -solution.dual(rows)[self.zones]
 
     # Access to declared quantities -------------------------------------------------------
 
@@ -532,6 +612,11 @@ class Model:
     def operating_cost(self) -> Any:
         """Operating cost of all devices, $/h."""
         return sum_of_costs(self.devices, self)
+
+
+def _per_node(values: Array) -> Any:
+    """Return one value per node as a number if all are equal, else as an array ``(1, nodes)``."""
+    return float(values[0]) if (values == values[0]).all() else values[None, :]
 
 
 def _root(bound: Bound) -> Callable[[Table], Array]:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import QuantityError, nearest
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 
 if TYPE_CHECKING:
@@ -55,14 +56,18 @@ class Stage(Protocol):
     network
         Arrays of the network.
     step
-        Length of a stage in hours.
+        Length of each stage in hours: a number if all are equal, else an array ``(1, stages)``.
     """
 
     network: PerUnitNetwork
-    step: float
+    step: float | Array
 
     def __getattr__(self, kind: str) -> Quantities:
         """Return the quantities of a kind of component: ``stage.generator``, ``stage.bus``, ..."""
+        ...
+
+    def leaves(self, values: Any) -> Any:
+        """Return a quantity at the end of the horizon: in the last stage of each scenario."""
         ...
 
     def has(self, name: str) -> bool:
@@ -83,24 +88,28 @@ class NumericStage:
     network
         Arrays of the network, including the time series of the window.
     step
-        Length of a stage in hours.
+        Length of each stage in hours.
     values
         Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
     devices
         Devices that contribute to the operating cost.
+    horizon
+        The nodes in time; by default the stages follow one another.
     """
 
     def __init__(
         self,
         network: PerUnitNetwork,
-        step: float,
+        step: float | Array,
         values: Mapping[tuple[str, str], Array],
         devices: Iterable[Device],
+        horizon: Horizon | None = None,
     ) -> None:
         self.network = network
         self.step = step
         self.values = dict(values)
         self._devices = list(devices)
+        self._leaves = np.array([-1]) if horizon is None else horizon.leaves
 
     def __getattr__(self, kind: str) -> Quantities:
         if kind.startswith("_") or kind not in self.network.tables:
@@ -113,6 +122,10 @@ class NumericStage:
 
         names = [n for k, n in self.values if k == kind]
         return Quantities(kind, get, lambda: [*names, *table.arrays])
+
+    def leaves(self, values: Any) -> Any:
+        """Return a quantity at the end of the horizon: in the last stage of each scenario."""
+        return values[:, self._leaves]
 
     def has(self, name: str) -> bool:
         """Whether a quantity has values."""

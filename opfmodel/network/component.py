@@ -169,6 +169,27 @@ class Component:
         return made
 
     @classmethod
+    @cache
+    def over(cls, key: str) -> str:
+        """Return how a quantity of the arrays combines over several steps: ``mean``, ``min`` or ``max``.
+
+        Power, demand and cost are averaged, so that energy is kept; of limits the tighter counts.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Branch, Bus, Generator
+        >>> Generator.over("p_max"), Branch.over("rating"), Bus.over("vm_min")
+        ('mean', 'min', 'max')
+        """
+        known = cls.fields()
+        if key in known:
+            return str(known[key].metadata.get("over", "mean"))
+        stem, _, end = key.rpartition("_")
+        if end not in ("min", "max") or stem not in known or known[stem].metadata["averaged"]:
+            return "mean"
+        return "max" if end == "min" else "min"
+
+    @classmethod
     def quantities(cls, key: str) -> tuple[str, ...]:
         """Names in the arrays of this kind of the quantities that a field states.
 

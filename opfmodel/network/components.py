@@ -39,6 +39,9 @@ class Bus(Component):
         description="Nominal voltage; only used in network files.",
     )
     reference: bool = flag(False, "Whether this is the reference bus of its island, with angle zero.")
+    va_set: float = number(
+        "deg", 0.0, series=False, description="Angle of the reference bus in a power flow."
+    )
     in_service: bool = in_service()
 
 
@@ -111,7 +114,7 @@ class Generator(Component):
     plural: ClassVar[str] = "generators"
 
     bus: str = at_bus()
-    p: tuple[float, float] = span("MW", description="(min, max) of active power.")
+    p: tuple[float, float] = span("MW", averaged=True, description="(min, max) of active power.")
     q: tuple[float, float] = span("MVAr", (-INF, INF), description="(min, max) of reactive power.")
     ramp: float | None = number(
         "MW/h",
@@ -147,6 +150,15 @@ class Generator(Component):
     regulates: bool = flag(
         True, "Whether the generator holds vm_set in a power flow; otherwise it injects qg_set."
     )
+    participation: float | None = number(
+        "",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Weight in the distributed slack of a power flow, relative to the other generators of "
+        "its island; none for p_max if it regulates, else 0.",
+    )
     in_service: bool = in_service()
 
 
@@ -158,7 +170,7 @@ class Storage(Component):
     plural: ClassVar[str] = "storages"
 
     bus: str = at_bus()
-    energy: float = number("MWh", at_least=0.0, description="Energy capacity.")
+    energy: float = number("MWh", at_least=0.0, over="min", description="Energy capacity.")
     power: float | tuple[float, float] = span(
         "MW", symmetric=True, description="(min, max) of the charging power; a single number a means (-a, a)."
     )
@@ -176,7 +188,7 @@ class Storage(Component):
         series=False,
         description="Initial energy; none for the midpoint of energy_min and energy.",
     )
-    energy_min: float = number("MWh", 0.0, at_least=0.0, description="Minimum stored energy.")
+    energy_min: float = number("MWh", 0.0, at_least=0.0, over="max", description="Minimum stored energy.")
     charge_efficiency: float = number(
         "", 1.0, at_least=1e-3, at_most=1.0, series=False, description="Energy stored per energy drawn."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, field
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, Literal, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 INF = math.inf
+Over = Literal["mean", "min", "max"]  # how the values of several steps make one
 
 
 def number(
@@ -43,6 +44,7 @@ def number(
     optional: bool = False,
     finite: bool = True,
     series: bool = True,
+    over: Over | None = None,
     description: str = "",
 ) -> Any:
     """Declare a field that holds one number.
@@ -59,6 +61,9 @@ def number(
         Whether infinity is refused. Where it is accepted, also in time series, it means "no limit".
     series
         Whether the field accepts a time series. Coefficients of equations must be constant.
+    over
+        Value over a stage of several steps: ``mean``, ``min`` or ``max``. By default the minimum of a field
+        that may be infinite, which is a limit, and the mean of all others.
     description
         What the field means, in one line without its unit; documentation and schemas state it.
     """
@@ -71,6 +76,7 @@ def number(
         "optional": optional,
         "finite": finite,
         "series": series,
+        "over": over or ("mean" if finite else "min"),
         "description": description,
     }
     return field(default=default, metadata=metadata)
@@ -83,6 +89,7 @@ def span(
     at_least: float = -INF,
     symmetric: bool = False,
     series: bool = True,
+    averaged: bool = False,
     description: str = "",
 ) -> Any:
     """Declare a field that holds ``(min, max)``, with arrays ``<field>_min`` and ``<field>_max``.
@@ -93,6 +100,8 @@ def span(
         Whether a single number ``a`` stands for ``(-a, a)``.
     series, description
         As for :func:`number`.
+    averaged
+        Whether a stage of several steps takes the mean of each limit; by default the tighter counts.
     """
     metadata = {
         "form": "span",
@@ -100,6 +109,7 @@ def span(
         "at_least": at_least,
         "symmetric": symmetric,
         "series": series,
+        "averaged": averaged,
         "description": description,
     }
     return field(default=default, metadata=metadata)

@@ -62,7 +62,10 @@ class Objective:
         return {}
 
     def terminal_cost(self, stage: Stage) -> Any:  # noqa: ARG002 - for subclasses
-        """Return a cost in $ that depends on the end of the last stage (``e_next[:, -1:]``), or None."""
+        """Return a cost in $ of the end of the horizon, one value per scenario, or None.
+
+        ``stage.leaves(stage.storage.e_next)`` is the stored energy at the end of each scenario.
+        """
         return None
 
     def __add__(self, other: Objective) -> WeightedSum:

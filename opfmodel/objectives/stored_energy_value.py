@@ -40,5 +40,5 @@ class StoredEnergyValue(Objective):
 
     def terminal_cost(self, stage: Stage) -> Any:
         """Return minus the price times the final energy."""
-        left = stage.storage.e_next[:, -1:]
+        left = stage.leaves(stage.storage.e_next)
         return -self.price * stage.network.base_mva * total(left)

@@ -4,5 +4,6 @@ from opfmodel.plan.end import End
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.request import Initial
 from opfmodel.plan.result import Plan
+from opfmodel.plan.risk import Risk
 
-__all__ = ["End", "Initial", "MultiStage", "Plan"]
+__all__ = ["End", "Initial", "MultiStage", "Plan", "Risk"]

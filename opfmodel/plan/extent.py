@@ -10,13 +10,13 @@ from opfmodel.objectives.base import Objective
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["AtEnd", "check_lengths", "stages_from"]
+__all__ = ["AtEnd", "check_lengths", "steps_from"]
 
 AtEnd = Literal["error", "repeat", "shrink"]
 
 
-def stages_from(problem: MultiStage, time: int) -> int:
-    """Return the number of stages of a plan: the horizon, or fewer if plans end with the data.
+def steps_from(problem: MultiStage, time: int) -> int:
+    """Return the number of steps of a plan: those of the horizon, or fewer if plans end with the data.
 
     Raises
     ------
@@ -24,10 +24,10 @@ def stages_from(problem: MultiStage, time: int) -> int:
         The data end before the step.
     """
     lengths = _lengths(problem, problem.objective).values() if problem.at_end == "shrink" else ()
-    end = min(lengths, default=time + problem.horizon)
+    end = min(lengths, default=time + problem.horizon.steps)
     if time >= end:
         raise ModelError(f"{problem.step_name(time)}: the data end after {end} steps")
-    return min(problem.horizon, end - time)
+    return min(problem.horizon.steps, end - time)
 
 
 def check_lengths(problem: MultiStage, steps: int, metered: Objective | None = None) -> None:
@@ -43,13 +43,13 @@ def check_lengths(problem: MultiStage, steps: int, metered: Objective | None = N
     if problem.at_end == "repeat":
         _check_period(problem, metered)
         return
-    planned = steps + problem.horizon - 1 if problem.at_end == "error" else steps
+    planned = steps + problem.horizon.steps - 1 if problem.at_end == "error" else steps
     needed = [(what, length, planned) for what, length in _lengths(problem, problem.objective).items()]
     if metered is not None:
         needed += [(what, length, steps) for what, length in _lengths(problem, metered).items()]
     for what, length, values in needed:
         if length < values:
-            ahead = f" with a horizon of {problem.horizon}" if values > steps else ""
+            ahead = f" with a horizon of {problem.horizon.steps}" if values > steps else ""
             hint = "; at_end tells what to do at their end" if length >= steps else ""
             raise ModelError(
                 f"{steps} steps{ahead} need {what} of {values} values; the shortest has {length}; "

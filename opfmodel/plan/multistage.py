@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.calendar import Times
+from opfmodel.data.calendar import Times, duration
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -23,35 +23,40 @@ from opfmodel.errors import (
     shown,
 )
 from opfmodel.formulations.base import Formulation
+from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
-from opfmodel.network.bounds import STEP_HOURS, integer, number_within
+from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series, fields_with_series, widest, window
 from opfmodel.network.units import scale
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.end import End
-from opfmodel.plan.extent import AtEnd, check_lengths, stages_from
+from opfmodel.plan.extent import AtEnd, check_lengths, steps_from
 from opfmodel.plan.memory import check_memory, problem_bytes
+from opfmodel.plan.nodes import at_nodes, mean_of_futures, over_nodes
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan, penalty_outputs
+from opfmodel.plan.risk import Risk
 from opfmodel.plan.shortage import SHORTAGE, Nothing, limit_shortage, without_outbidding
 from opfmodel.plan.shrinking import Shrinking
-from solvers import Expression, Program, Session, SolverError, Start, Sum, prepare
+from opfmodel.plan.start import lifted, moved
+from solvers import Expression, Kind, Program, Session, SolverError, Start, Sum, classify, prepare
 from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
+Fields = dict[tuple[str, str], Array]
 
 # What a program is compiled from; the constraints are added by a method.
 _STATED = frozenset(
     (
-        "network", "horizon", "step", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "devices", "at_end", "solver", "options", "verbose",
+        "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
+        "end", "regularisation", "elastic", "risk", "devices", "at_end", "solver", "options", "verbose",
     )
 )  # fmt: skip
 
@@ -64,9 +69,11 @@ class MultiStage:
     network
         The network.
     horizon
-        Number of stages; 1 is an ordinary optimal power flow.
+        Number of stages, where 1 is an ordinary optimal power flow; or a :class:`opfmodel.Horizon`: an uneven
+        grid or a tree of scenarios.
     step
-        Length of a stage in hours; by default that of the time series, or 1 h if they have no time stamps.
+        Length of a stage in hours, if the horizon is a number of stages; by default that of the time series,
+        or 1 h if they have no time stamps.
     formulation
         Name or instance of a formulation.
     objective
@@ -86,6 +93,8 @@ class MultiStage:
     elastic
         Penalty prices of soft limits, with which there is always a solution; see :class:`Elastic`.
         By default every limit is hard.
+    risk
+        Risk aversion over the scenarios of a tree; by default the expected cost is minimised.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     at_end
@@ -117,7 +126,7 @@ class MultiStage:
     def __init__(
         self,
         network: Network,
-        horizon: int = 1,
+        horizon: int | Horizon = 1,
         step: float | None = None,
         *,
         formulation: str | Formulation = "ac",
@@ -127,13 +136,13 @@ class MultiStage:
         end: End | None = None,
         regularisation: float | None = None,
         elastic: Elastic | None = None,
+        risk: Risk | None = None,
         devices: Iterable[Device] = (),
         at_end: AtEnd = "error",
         solver: str = "auto",
         options: Mapping[str, Any] | None = None,
         verbose: bool = False,
     ) -> None:
-        shortest, longest = STEP_HOURS
         if isinstance(generator_delay, bool) or generator_delay not in (0, 1):
             raise ModelError(f"generator_delay = {generator_delay!r}: must be 0 or 1")
         if at_end not in get_args(AtEnd):
@@ -144,6 +153,7 @@ class MultiStage:
             ("objective", objective, Objective),
             ("end", end, End),
             ("elastic", elastic, Elastic),
+            ("risk", risk, Risk),
         ):
             if not (value is None or isinstance(value, kind)):
                 raise ModelError(
@@ -153,12 +163,12 @@ class MultiStage:
         check_series(self.profiles, network)
         self.network = network.copy()  # what is changed from now on is for other problems
         self.network.attach(Profiles())  # the problem has them
-        self.horizon = integer("horizon", horizon, at_least=1)
-        self.step = number_within("step", self._step(step), at_least=shortest, at_most=longest)
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
-        needed = problem_bytes(self.arrays.n_components, self.horizon, self.formulation.reactive)
-        check_memory(f"horizon = {horizon:,}", needed)
+        stages = len(horizon) if isinstance(horizon, Horizon) else integer("horizon", horizon, at_least=1)
+        needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive)
+        check_memory(f"horizon = {stages:,}", needed)
+        self.horizon = self._horizon(horizon, step)
         self.objective = Economic() if objective is None else objective
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
@@ -168,8 +178,13 @@ class MultiStage:
             else number_within("regularisation", regularisation, at_least=0)
         )
         self.elastic = elastic
+        self.risk = risk
         self.devices = make_devices(self.arrays, devices)
         self.at_end = at_end
+        if at_end == "shrink" and not (self.horizon.is_chain and self.horizon.is_even):
+            raise IncompatibleError(
+                "at_end = 'shrink': needs stages of one step without scenarios; use 'error' or 'repeat'"
+            )
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
@@ -184,24 +199,39 @@ class MultiStage:
             raise ModelError(f"{name}: the problem is already compiled; create another one")
         super().__setattr__(name, value)
 
-    def _step(self, stated: float | None) -> float:
-        """Return the length of a stage: as stated, or that of the time series."""
+    def _horizon(self, given: int | Horizon, step: float | None) -> Horizon:
+        """Return a horizon, from its number of stages and their length if it is not one."""
         calendar = self.profiles.calendar
-        if stated is None:
-            return 1.0 if calendar is None else calendar.step
-        if calendar is not None and not calendar.has_step(stated):
+        stated = given.base if isinstance(given, Horizon) else step
+        if isinstance(given, Horizon) and step is not None and step != given.base:
             raise ModelError(
-                f"step = {stated!r}: the time series have a step of {calendar.step:g} h; "
+                f"step = {step!r}: the horizon has steps of {given.base:g} h; leave the step out"
+            )
+        if stated is not None and calendar is not None and not calendar.has_step(stated):
+            raise ModelError(
+                f"step = {stated!r}: the time series have steps of {duration(calendar.step)}; "
                 "leave the step out, or resample the series"
             )
-        return stated
+        if isinstance(given, Horizon):
+            return given
+        known = 1.0 if calendar is None else calendar.step
+        return Horizon.chain(given, known if stated is None else stated)
 
     def __repr__(self) -> str:
-        noun = "stage" if self.horizon == 1 else "stages"
         return (
-            f"MultiStage({self.network.name!r}: {self.horizon} {noun} of {self.step:g} h, "
-            f"{self.formulation.name}, {type(self.objective).__name__})"
+            f"MultiStage({self.network.name!r}: {self.horizon}, {self.formulation.name}, "
+            f"{type(self.objective).__name__})"
         )
+
+    @property
+    def stages(self) -> int:
+        """Number of stages, which are the nodes of the horizon."""
+        return len(self.horizon)
+
+    @property
+    def step(self) -> float:
+        """Length of a base step in hours: that of the time series, and of a closed loop."""
+        return self.horizon.base
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -280,7 +310,7 @@ class MultiStage:
         elastic: Elastic | None,
         objective: Objective | None = None,
         rationed: bool = False,
-        horizon: int | None = None,
+        horizon: Horizon | None = None,
         split_shedding: bool = False,
     ) -> MultiStage:
         """Return the same problem with other penalty prices, another objective, or a limit on the penalty.
@@ -290,7 +320,7 @@ class MultiStage:
         rationed
             Whether every solve limits the penalty.
         horizon
-            Number of stages, if it differs.
+            The horizon, if it differs.
         split_shedding
             Whether active and reactive demand may be shed in different shares.
         """
@@ -343,27 +373,29 @@ class MultiStage:
         """
         check_lengths(self, steps, metered)
 
-    def stages_from(self, time: int) -> int:
-        """Return the number of stages of a plan: the horizon, or fewer if plans end with the data.
+    def horizon_from(self, time: int) -> Horizon:
+        """Return the horizon of the plan from a step on: a shorter one if plans end with the data.
 
         Raises
         ------
         ModelError
             The data end before the step.
         """
-        return stages_from(self, time)
+        steps = steps_from(self, time)
+        return self.horizon if steps == self.horizon.steps else Horizon.chain(steps, self.step)
 
-    def times(self, first: int, stages: int) -> Times:
-        """Return the beginnings of stages from a step on."""
-        return Times(first, stages, self.step, self.profiles.calendar)
+    def times(self, first: int, horizon: Horizon | int) -> Times:
+        """Return the beginnings of the stages of a horizon, or of a number of steps, from a step on."""
+        begins = np.arange(horizon) if isinstance(horizon, int) else horizon.step
+        return Times(first + begins, self.step, self.profiles.calendar)
 
     def step_name(self, step: int) -> str:
         """Return a step for messages: its number, and its local time if the series have time stamps."""
         calendar = self.profiles.calendar
         return f"step {step}" if calendar is None else f"step {step} ({calendar.shown(step)})"
 
-    def window(self, start: int, stages: int, objective: Objective | None = None) -> PerUnitNetwork:
-        """Return the network with the time series of ``stages`` steps from ``start``.
+    def window(self, start: int, steps: int, objective: Objective | None = None) -> PerUnitNetwork:
+        """Return the network with the time series of ``steps`` base steps from ``start``.
 
         Parameters
         ----------
@@ -375,26 +407,48 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        return self.arrays.with_series(self._series(start, stages, objective))
+        return self.arrays.with_series(self._series(start, steps, objective))
 
-    def _series(
-        self, start: int, stages: int, objective: Objective | None = None
-    ) -> dict[tuple[str, str], Array]:
-        """Return the time series of a window by ``(kind, field)``, per unit ``(items, stages)``."""
+    def ahead(self, time: int) -> Fields:
+        """Return the data at the nodes of the plan from a step on, ``(items, nodes)`` per unit."""
+        horizon = self.horizon_from(time)
+        return over_nodes([self._series(time, horizon.steps)], horizon, self.arrays)
+
+    def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None) -> Fields:
+        """Return expected series at the nodes of the horizon, as :meth:`solve` takes them.
+
+        Parameters
+        ----------
+        futures
+            Series of ``horizon.steps`` values, one set per future of the horizon or one for all.
+        horizon
+            That of the plan, see :meth:`horizon_from`; by default that of the problem.
+
+        Returns
+        -------
+        dict
+            Arrays ``(items, nodes)`` in per unit by ``(kind, field)``.
+        """
+        nodes = self.horizon if horizon is None else horizon
+        ahead = [window(own, self.arrays, 0, nodes.steps) for own in futures]
+        return over_nodes(ahead, nodes, self.arrays)
+
+    def _series(self, start: int, steps: int, objective: Objective | None = None) -> Fields:
+        """Return the time series of a window by ``(kind, field)``, per unit ``(items, steps)``."""
         repeats = self.at_end == "repeat"
-        series = window(self.profiles, self.arrays, start, stages, repeats)
+        series = window(self.profiles, self.arrays, start, steps, repeats)
         objective = self.objective if objective is None else objective
         for key, values in self.series_of(objective).items():
             known = values.shape[1]
             if known == 1 or repeats:
-                series[key] = values[:, np.arange(start, start + stages) % known]
-            elif known < start + stages:
+                series[key] = values[:, np.arange(start, start + steps) % known]
+            elif known < start + steps:
                 raise ModelError(
                     f"{type(objective).__name__}: {key[1]} has {known} values; "
-                    f"steps {start} to {start + stages - 1} need {start + stages}"
+                    f"steps {start} to {start + steps - 1} need {start + steps}"
                 )
             else:
-                series[key] = values[:, start : start + stages]
+                series[key] = values[:, start : start + steps]
         return series
 
     @cached_property
@@ -413,21 +467,21 @@ class MultiStage:
         """Declarations of the formulation and the devices; compiles the problem if necessary."""
         return self._compiled[0]
 
-    def declare(self, stages: int | None = None) -> Model:
+    def declare(self, horizon: Horizon | None = None) -> Model:
         """Return the declarations of formulation and devices, without objective and constraints; uncached.
 
         A kind without components in service publishes its quantities, all empty, if the objective needs one.
 
         Parameters
         ----------
-        stages
-            Number of stages, if it differs from the horizon.
+        horizon
+            The horizon, if it differs.
         """
         own = {key: values[:, :1] for key, values in self._objective_series.items()}
         model = Model(
             self.arrays.with_series({**widest(self.profiles, self.arrays), **own}),
-            self.horizon if stages is None else stages,
-            self.step,
+            self.horizon if horizon is None else horizon,
+            delay=self.generator_delay,
             reactive=self.formulation.reactive,
             zones=self.formulation.zones(self.arrays),
             series={*fields_with_series(self.profiles, self.arrays), *own},
@@ -468,10 +522,10 @@ class MultiStage:
         if self._rationed:
             limit_shortage(model)
         program = model.build.build()
-        if self.at_end == "shrink" and self.horizon > 1:
+        if self.at_end == "shrink" and self.stages > 1:
             stocks = [name for name, state in model.states.items() if state.role == "stock"]
             whole = [*(f"{name}_cyclic" for name in stocks), SHORTAGE]
-            self._shrinking = Shrinking(program, self.horizon, stocks, whole)
+            self._shrinking = Shrinking(program, self.stages, stocks, whole)
         session = prepare(program, self.solver, self.options, self.verbose)
         self.build_seconds = clock.perf_counter() - began
         return model, program, session
@@ -500,15 +554,22 @@ class MultiStage:
         )
 
     def _minimize(self, model: Model) -> None:
-        for what, weight in (("stage_cost", self.step), ("terminal_cost", 1.0)):
+        share = 1.0 if self.risk is None else 1.0 - self.risk.weight
+        weights = {"stage": model.weight, "terminal": model.probability_of(model.horizon.leaves)}
+        parts = []
+        for part, weight in weights.items():
+            what = f"{part}_cost"
             cost = getattr(self.objective, what)(model)
             if isinstance(cost, Expression | Sum):
-                model.build.minimize(weight * cost)
+                model.build.minimize(cost * (share * weight))
+                parts.append((part, cost))
             elif cost is not None:
                 raise ModelError(
                     f"objective {type(self.objective).__name__}: {what} = {shown(cost)}: "
                     "must be a quantity or total of the stage, or None"
                 )
+        if self.risk is not None and self.risk.weight:
+            self.risk.minimise(model, parts)
 
     def _constrain(self, model: Model, constraint: CustomConstraint) -> None:
         try:
@@ -529,6 +590,7 @@ class MultiStage:
         end: End | None = None,
         multipliers: bool = True,
         expected: Mapping[tuple[str, str], Array] | None = None,
+        horizon: Horizon | None = None,
     ) -> Plan:
         """Solve for the stages from ``time`` on.
 
@@ -549,7 +611,10 @@ class MultiStage:
             primal point is used.
         expected
             Values of fields over the stages of the plan by ``(kind, field)``, ``(items, stages)`` in per
-            unit, in place of those of the profiles or the objective; for instance a forecast.
+            unit, in place of those of the profiles or the objective; for instance a forecast, see
+            :meth:`expected`.
+        horizon
+            The horizon with other probabilities, if it declares that they vary.
 
         Returns
         -------
@@ -557,7 +622,8 @@ class MultiStage:
             Also if the solver fails; see :attr:`Plan.status`. For an elastic problem, the cheapest of the
             plans with the minimum penalty.
         """
-        request = Request(time, initial, self.end if end is None else end, expected)
+        nodes = self.horizon if horizon is None else horizon
+        request = Request(time, initial, self.end if end is None else end, expected, nodes)
         plan = self.solve_once(request, previous, multipliers)
         certain = self.elastic is None or (plan.optimal and not plan.short)
         return plan if certain else without_outbidding(self, plan)
@@ -577,8 +643,74 @@ class MultiStage:
             Bounds of rows and variables, by block, in place of those of the request.
         """
         time, initial, end = request.time, request.initial, request.end
-        integer("time", time, at_least=0)
         model, program, session = self._compiled
+        self._check_request(request, previous)
+        horizon = self.horizon_from(time)
+        begin = self.stages - len(horizon)
+        series = {**self.ahead(time), **(request.expected or {})}
+        network = self.arrays.with_series(series)
+        numbers = self._numbers(model, program, network, series, begin)
+        if model.horizon.varying:
+            numbers.parameters["probability"] = request.horizon.probability
+        for state in model.states.values():
+            table = network.tables[state.kind]
+            if initial is not None and state.name in initial:
+                given = initial[state.name]
+                values = None if given is None else _numbers(state.name, given)
+                if values is not None:
+                    values = values / scale(state.unit, table.base_mva)
+            else:
+                values = table.arrays[state.initial][:, 0] if state.initial else None
+            numbers.start_from(state.name, values)
+            numbers.end_with(state.name, end)
+        for constraint in self.constraints.values():
+            if constraint.limited:
+                low, high = constraint.window(time, horizon.steps, self.at_end == "repeat")
+                numbers.limit(
+                    constraint.rows,
+                    at_nodes([low[None, :]], horizon, "max"),
+                    at_nodes([high[None, :]], horizon, "min"),
+                )
+        for name, (lower, upper) in (limits or {}).items():
+            numbers.limit(name, lower, upper)
+        instance = numbers.instance()
+        start, effort = _start(previous, program, request, begin, multipliers), 0.0
+        if start is None and not limits:
+            start, effort = self._from_expected(request, network)
+        solution = session.solve(instance, start)
+        solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
+        return Plan(self, model, solution, network, request)
+
+    def _from_expected(self, request: Request, network: PerUnitNetwork) -> tuple[Start | None, float]:
+        """Return the plan for the expected future as a start, and its seconds; None if it is of no use.
+
+        Nonlinear problems over a tree need fewer iterations from it, and it is far smaller.
+        """
+        model, program, _ = self._compiled
+        if model.horizon.is_chain or classify(program).kind < Kind.NONLINEAR:
+            return None, 0.0
+        known = {
+            (kind, field): values
+            for kind, field in model.series
+            for values in (network.tables[kind].arrays[field],)
+        }
+        mean = mean_of_futures(known, request.horizon)
+        chain = self._expected_problem
+        plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
+        start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
+        return start, plan.solution.seconds
+
+    @cached_property
+    def _expected_problem(self) -> MultiStage:
+        """The problem of the expected future alone."""
+        chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
+        chain.risk = None  # of a single future there is none
+        return chain
+
+    def _check_request(self, request: Request, previous: Plan | None) -> None:
+        """Raise :class:`ModelError` for arguments of a solve that do not fit the compiled problem."""
+        model, program, _ = self._compiled
+        integer("time", request.time, at_least=0)
         if previous is not None and not isinstance(previous, Plan):
             raise ModelError(f"previous = {shown(previous)}: must be a plan")
         if (
@@ -591,45 +723,17 @@ class MultiStage:
             if key not in model.series:
                 known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
                 raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
-        stages = self.stages_from(time)
-        begin = self.horizon - stages
-        series = {**self._series(time, stages), **(request.expected or {})}
-        network = self.arrays.with_series(series)
-        numbers = self._numbers(model, program, network, series, begin)
-        states = {name: None for name in (initial or {}) if name not in model.states}
-        if states:
+        for name in request.initial or {}:
+            if name not in model.states:
+                raise ModelError(f"initial: no state is named {name!r}; states: {', '.join(model.states)}")
+        own = model.horizon
+        if request.horizon is not own and not (own.varying and own.same_nodes(request.horizon)):
             raise ModelError(
-                f"initial: no state is named {next(iter(states))!r}; states: {', '.join(model.states)}"
+                "horizon: may differ from that of the problem in probabilities alone, if these are varying"
             )
-        for state in model.states.values():
-            table = network.tables[state.kind]
-            if initial is not None and state.name in initial:
-                given = initial[state.name]
-                values = None if given is None else _numbers(state.name, given)
-                if values is not None:
-                    values = values / scale(state.unit, table.base_mva)
-            else:
-                values = table.arrays[state.initial][:, 0] if state.initial else None
-            numbers.start_from(state.name, values, self.generator_delay)
-            numbers.end_with(state.name, end)
-        for constraint in self.constraints.values():
-            if constraint.limited:
-                low, high = constraint.window(time, stages, self.at_end == "repeat")
-                numbers.limit(constraint.rows, low[None, :], high[None, :])
-        for name, (lower, upper) in (limits or {}).items():
-            numbers.limit(name, lower, upper)
-        instance = numbers.instance()
-        start = _start(previous, program, time, begin, multipliers)
-        solution = replace(session.solve(instance, start), skipped=begin)
-        return Plan(self, model, solution, network, request)
 
     def _numbers(
-        self,
-        model: Model,
-        program: Program,
-        network: PerUnitNetwork,
-        series: Mapping[tuple[str, str], Array],
-        begin: int,
+        self, model: Model, program: Program, network: PerUnitNetwork, series: Fields, begin: int
     ) -> Numbers:
         """Return the instance data of a plan that begins at a stage of the program."""
         if not begin:
@@ -640,14 +744,17 @@ class MultiStage:
         return Numbers(model, program, self.arrays.with_series(whole), begin, self._shrinking.freed(begin))
 
 
-def _start(previous: Plan | None, program: Program, time: int, begin: int, multipliers: bool) -> Start | None:
+def _start(
+    previous: Plan | None, program: Program, request: Request, begin: int, multipliers: bool
+) -> Start | None:
+    time = request.time
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
-    stages = time - previous.time - (begin - previous.solution.skipped)
-    moved = previous.solution.shifted(max(stages, 0))
+    steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
+    start = moved(previous.solution, previous.request.horizon, request.horizon, steps)
     if previous.solution.program is not program:  # from another elastic variant of the problem
-        return Start(moved.x) if moved.x.size == program.n_variables else None
-    return moved if multipliers else Start(moved.x)
+        return Start(start.x) if start.x.size == program.n_variables else None
+    return start if multipliers else Start(start.x)
 
 
 def _numbers(state: str, given: npt.ArrayLike) -> Array:

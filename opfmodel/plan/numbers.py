@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,15 +54,7 @@ class Numbers:
         for name, source in model.bounds.items():
             if source.kind in changed:
                 low, high = source.resolve(network.tables[source.kind])
-                self.lower[name], self.upper[name] = self._fit(name, low), self._fit(name, high)
-
-    def _fit(self, name: str, values: npt.NDArray[Any]) -> Array:
-        """Fit stage bounds to a block: they hold at stage ends, those of the first stage at its start too."""
-        stages = (self.program.variables.get(name) or self.program.rows[name]).stages
-        given = values.shape[-1] if values.ndim == 2 else 1
-        if 1 < given == stages - 1:
-            return np.hstack([values[:, :1], values])
-        return np.asarray(values[:, -stages:]) if given > stages else values
+                self.lower[name], self.upper[name] = low, high
 
     def _bounds(self, name: str) -> tuple[Array, Array]:
         """Return the bounds of a block as writable arrays."""
@@ -72,9 +63,9 @@ class Numbers:
             side[name] = np.array(block.spread(side.get(name, default)))
         return self.lower[name], self.upper[name]
 
-    def start_from(self, name: str, values: Array | None, delay: int) -> None:
+    def start_from(self, name: str, values: Array | None) -> None:
         """Fix the initial value of a state, or leave it free."""
-        state = self.model.states[name]
+        state, delay, horizon = self.model.states[name], self.model.delay, self.model.horizon
         if values is not None:
             values = np.asarray(values, dtype=float)
             if values.shape != (self.program.variables[name].items,) or not np.isfinite(values).all():
@@ -84,7 +75,8 @@ class Numbers:
                 )
         if (state.role == "stock" or delay == 1) and values is not None:
             lower, upper = self._bounds(name)
-            lower[:, self.begin] = upper[:, self.begin] = values
+            start = [self.begin] if state.role == "stock" or self.begin else horizon.roots
+            lower[:, start] = upper[:, start] = values[:, None]
             if state.role == "stock":  # a cyclic end refers to the first point
                 lower[:, 0] = upper[:, 0] = values
         elif state.role == "stock" and self.begin and len(self.model.network.tables[state.kind]):
@@ -93,10 +85,10 @@ class Numbers:
             )
         if f"{name}_ramp_first" in self.program.rows:
             given = values is not None and delay == 0
-            columns = np.arange(self.program.rows[f"{name}_ramp_first"].stages)
-            if not given or columns.size > 1:
+            begun = np.isin(self.model.starts, [self.begin] if self.begin else horizon.roots)
+            free = ~begun if given else np.ones_like(begun)
+            if free.any():
                 lower, upper = self._bounds(f"{name}_ramp_first")
-                free = columns != self.begin if given else columns >= 0
                 lower[:, free], upper[:, free] = -np.inf, np.inf
             if values is not None and delay == 0:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
@@ -110,7 +102,8 @@ class Numbers:
                 lower[:] = upper[:] = 0.0
             if end.minimum > 0:
                 lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
-                lower[:, -1] = np.maximum(lower[:, -1], end.minimum * upper[:, -1])
+                last = self.model.horizon.leaves + 1
+                lower[:, last] = np.maximum(lower[:, last], end.minimum * upper[:, last])
             price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
             self.parameters[f"{name}_end_price"] = np.array([price])
 

@@ -9,6 +9,7 @@ import numpy as np
 from opfmodel import plugins
 from opfmodel.errors import ModelError, PluginError, shown
 from opfmodel.formulations.base import Formulation
+from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork
 
@@ -68,7 +69,7 @@ def publishing(quantities: Sequence[str], network: PerUnitNetwork, devices: Sequ
 
 def _of_devices(network: PerUnitNetwork, devices: Sequence[Device], reactive: bool) -> set[str]:
     """Return the quantities that devices publish with or without reactive power."""
-    model = Model(network, stages=1, step=1.0, reactive=reactive, zones=np.arange(len(network.bus)))
+    model = Model(network, Horizon.chain(1), reactive=reactive, zones=np.arange(len(network.bus)))
     for device in devices:
         model.connect(device)
     return set(model.published)

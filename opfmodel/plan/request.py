@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.horizon import Horizon
 from opfmodel.plan.end import End
 
 __all__ = ["Initial", "Limits", "Request"]
@@ -24,3 +25,4 @@ class Request:
     initial: Initial | None
     end: End
     expected: Mapping[tuple[str, str], npt.NDArray[np.float64]] | None
+    horizon: Horizon

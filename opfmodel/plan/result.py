@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
-from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.errors import IncompatibleError, ModelError, nearest
+from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
 from opfmodel.network.arrays import PerUnitNetwork
@@ -72,7 +73,7 @@ class Plan:
     @property
     def stages(self) -> int:
         """Number of stages: the horizon, unless the plan ends earlier, with the data."""
-        return self.problem.horizon - self.solution.skipped
+        return len(self.horizon)
 
     @property
     def status(self) -> str:
@@ -96,20 +97,53 @@ class Plan:
 
     @cached_property
     def objective(self) -> float:
-        """Value of the objective in $ over the horizon, without regularisation; NaN unless optimal."""
+        """What is minimised, in $ over the horizon, without regularisation; NaN unless optimal.
+
+        Includes risk aversion; :attr:`expected_cost` does not.
+        """
+        risk = self.problem.risk
+        if risk is None:
+            return self.expected_cost
+        last = self.horizon.probability[self.horizon.leaves]
+        return risk.measure(np.array(list(self.scenario_costs.values())), last)
+
+    @property
+    def expected_cost(self) -> float:
+        """Mean cost of the scenarios in $ over the horizon, without regularisation; NaN unless optimal."""
         if not self.optimal:
             return np.nan
+        return float(np.sum(self.horizon.probability * self.node_costs))
+
+    @cached_property
+    def node_costs(self) -> Array:
+        """Cost of each node in $, the terminal cost of its scenario included; NaN unless optimal."""
+        horizon, objective = self.horizon, self.problem.objective
+        if not self.optimal:
+            return np.full(len(horizon), np.nan)
         stage = self.stage
-        cost = self.problem.objective.stage_cost(stage)
-        value = 0.0 if cost is None else float(np.sum(cost)) * self.problem.step
-        terminal = self.problem.objective.terminal_cost(stage)
-        return value + (0.0 if terminal is None else float(np.sum(terminal)))
+        cost, terminal = objective.stage_cost(stage), objective.terminal_cost(stage)
+        made = np.zeros(len(horizon)) if cost is None else horizon.hours * cost
+        if terminal is not None:
+            made[horizon.leaves] += terminal
+        return np.asarray(made)
+
+    @property
+    def scenario_costs(self) -> dict[str, float]:
+        """Cost of each scenario in $, from the measured state to the end of the horizon."""
+        paths = zip(self.horizon.scenarios, self.horizon.paths, strict=True)
+        return {name: float(self.node_costs[path].sum()) for name, path in paths}
+
+    @cached_property
+    def horizon(self) -> Horizon:
+        """The nodes in time that the plan covers."""
+        whole, skipped = self.request.horizon, self.solution.skipped
+        return Horizon.chain(len(whole) - skipped, whole.base) if skipped else whole
 
     @cached_property
     def stage(self) -> NumericStage:
         """The published quantities of the plan as numbers in per unit, for evaluating costs."""
         published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
-        return NumericStage(self.network, self.problem.step, published, self.model.devices)
+        return NumericStage(self.network, self.model.step, published, self.model.devices, self.horizon)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """Return all published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
@@ -154,8 +188,8 @@ class Plan:
         prices = self.problem.elastic
         if prices is None or not self.short:
             return ()
-        slacks, step = self.model.slacks.values(), self.problem.step
-        return shortages(slacks, shortfall_due(self), self.network, prices, step, self._moments)
+        slacks = self.model.slacks.values()
+        return shortages(slacks, shortfall_due(self), self.network, prices, self.horizon, self._moments)
 
     @property
     def penalty(self) -> float:
@@ -184,17 +218,18 @@ class Plan:
         if not self.optimal:
             raise ModelError(f"the plan from step {self.time} is {self.status}: it has no next state")
         out = {}
-        committed = self.problem.generator_delay == 1
+        committed = self.model.delay == 1
+        after = np.flatnonzero(self.horizon.parent == 0)  # siblings share what is committed
         for state in self.model.states.values():
             name = f"{state.name}_next" if state.role == "stock" else state.name
             if happened is not None and (state.role == "stock" or not committed):
                 values = happened[state.kind, name]
-            elif state.role == "stock" or not committed or self.stages == 1 < self.problem.horizon:
+            elif state.role == "stock" or not committed or self.stages == 1 < self.problem.stages:
                 values = self.solution.value(name)[:, 0]
-            elif self.stages == 1:
+            elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:
-                values = self.solution.value(name)[:, 1]
+                values = self.solution.value(name)[:, after[0]]
             out[state.name] = values * scale(state.unit, self.network.base_mva)
         return out
 
@@ -219,7 +254,12 @@ class Plan:
 
     @cached_property
     def data(self) -> xr.Dataset:
-        """All published quantities and the demand, in physical units, over ``time`` and components."""
+        """All published quantities and the demand, in physical units, over ``time`` and components.
+
+        Over ``node`` in place of time if the horizon is a tree, with the coordinates ``time``, ``parent``,
+        ``probability`` and ``scenario``; see :meth:`scenario`. Stages of different lengths have the
+        coordinate ``hours``.
+        """
         from opfmodel.results import dataset
 
         described = self.problem.described
@@ -237,11 +277,30 @@ class Plan:
             "cost": self.objective,
         }
         made.attrs |= self.relaxation
-        return made
+        return _with_nodes(made, self.horizon)
+
+    def scenario(self, name: str) -> xr.Dataset:
+        """Return the quantities of one scenario over ``time``, from the measured state to the end.
+
+        Raises
+        ------
+        ModelError
+            There is no scenario of that name.
+        """
+        horizon = self.horizon
+        if name not in horizon.scenarios:
+            raise ModelError(f"scenario {name!r}: no such scenario; {nearest(name, horizon.scenarios)}")
+        if horizon.is_chain:
+            return self.data
+        path = horizon.paths[horizon.scenarios.index(name)]
+        made = self.data.isel(node=path).swap_dims(node="time")
+        return made.drop_vars(["node", "parent", "probability", "scenario"]).assign_attrs(
+            scenario=name, cost=self.scenario_costs[name]
+        )
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        return self.model.prices[name].read(self.solution, self.network)
+        return self.model.prices[name].values(self.solution, self.network, self.horizon)
 
     def prices(self) -> dict[tuple[str, str], Array]:
         """Return all shadow prices by ``(kind, name)``; see :meth:`price`."""
@@ -271,11 +330,29 @@ class Plan:
 
     @property
     def _moments(self) -> Times:
-        return self.problem.times(self.time, self.stages)
+        return self.problem.times(self.time, self.horizon)
 
 
 def _penalty(model: Model, solution: Solution) -> float:
     return sum(float(solution.value(name).sum()) for name in penalty_outputs(model))
+
+
+def _with_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:
+    """Add the lengths of uneven stages; of a tree, turn the dimension ``time`` into nodes."""
+    if not horizon.is_even:
+        data = data.assign_coords(
+            hours=("time", horizon.hours, {"units": "h", "long_name": "length of the stage"})
+        )
+    if horizon.is_chain:
+        return data
+    of_node = {
+        "node": np.arange(len(horizon)),
+        "parent": ("node", horizon.parent, {"long_name": "node before, -1 for the measured state"}),
+        "probability": ("node", horizon.probability),
+        "scenario": ("node", np.array(horizon.scenario, dtype=str)),
+    }
+    loose = data.rename_dims(time="node").reset_index("time")
+    return loose.assign_coords(of_node)
 
 
 def penalty_outputs(model: Model) -> list[str]:

@@ -163,7 +163,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
                     f"single-stage optimum of step {start + step}: {alone.status} ({alone.termination})"
                 )
         raise ModelError(f"single-stage optima: {plan.status} ({plan.termination})")
-    times = Times(0, steps, problem.step, window.calendar)
+    times = Times(np.arange(steps), problem.step, window.calendar)
     return SingleStageSequence(plan, stage, times, problem.network)
 
 

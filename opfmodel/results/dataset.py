@@ -56,7 +56,7 @@ def dataset(
                 at = [network.bus.names[b] for b in table.bus]
                 made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
     demand = {
-        name: ("bus", unit, f"{sort} demand", _demand(network, field, times.stages))
+        name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times.steps)))
         for name, (field, unit, sort) in DEMAND.items()
     }
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():

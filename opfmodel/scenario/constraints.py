@@ -2,58 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from opfmodel.data.columns import read_columns
+from opfmodel.data.grid import Grid
 from opfmodel.errors import (
     ConstraintError,
     ModelError,
     OpfmodelError,
     ProfileError,
     QuantityError,
-    close,
-    nearest,
     raise_all,
-    shown,
 )
+from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
-from opfmodel.network.bounds import bounded, is_number
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.document import Document
-from opfmodel.scenario.schema import ScenarioFile
+from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
+from opfmodel.scenario.schema import ColumnSection, ConstraintSection, ScenarioFile
 
 __all__ = ["check_constraints", "read_constraints"]
 
 
-def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
-    """Return the constraints of a file, by name; those with faulty limits have others, to check terms."""
-    made: dict[str, CustomConstraint] = {}
-    for name, values in settings.constraints.items():
-        if document.faults.broken("constraints", name):
-            continue
-        with document.faults, document.located("constraints", name):
-            made[name] = _constraint(name, values, settings.length, document.path.parent)
-        terms = values.get("terms") if isinstance(values, Mapping) else None
-        if name not in made and isinstance(terms, Mapping):
-            with suppress(ConstraintError):
-                made[name] = CustomConstraint.of(name, Linear(terms), at_least=0.0)
-    return made
-
-
-def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomConstraint:
-    """Build a linear constraint from plain values.
+def read_constraints(document: Document, settings: ScenarioFile, grid: Grid) -> dict[str, CustomConstraint]:
+    """Return the constraints of a file, by name; those with faulty limits have others, to check terms.
 
     Parameters
     ----------
-    values
-        ``terms`` and the limits: ``at_least``, ``at_most`` or both, or ``equal``. Each limit is a
-        number, a list, or ``{file: , column: }``.
-    steps
-        Number of values required of a time-varying limit.
+    grid
+        The steps that limits cover.
+    """
+    made: dict[str, CustomConstraint] = {}
+    for name, section in settings.constraints.items():
+        if not document.faults.broken("constraints", name):
+            with document.faults, document.located("constraints", name):
+                made[name] = _constraint(name, section, grid, document.path.parent)
+        if name not in made:
+            with suppress(ConstraintError):
+                made[name] = CustomConstraint.of(name, Linear(section.terms), at_least=0.0)
+    return made
+
+
+def _constraint(name: str, section: ConstraintSection, grid: Grid, folder: Path) -> CustomConstraint:
+    """Build a linear constraint.
+
+    Parameters
+    ----------
+    grid
+        The steps that a limit covers.
     folder
         Folder to which file names are relative.
 
@@ -62,24 +61,20 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
     ConstraintError
         The constraint is malformed; the error carries the key.
     """
-    known = ("terms", "at_least", "at_most", "equal")
-    if not isinstance(values, Mapping):
-        raise ConstraintError(f"must be a mapping; accepted keys are {', '.join(known)}")
+    stated = {"at_least": section.at_least, "at_most": section.at_most, "equal": section.equal}
     limits: dict[str, float | list[float]] = {}
 
     def errors() -> Iterator[OpfmodelError]:
-        yield from _errors_of_keys(values, known)
-        for key in known[1:]:
+        for key, value in stated.items():
             try:
-                if key in values:
-                    limits[key] = _limit(values[key], key, steps, folder)
+                if value is not None:
+                    limits[key] = _limit(value, key, grid, folder)
             except ConstraintError as error:
                 yield error
-        if isinstance(values.get("terms"), Mapping):
-            try:
-                Linear(values["terms"])
-            except ConstraintError as error:
-                yield from (error, *error.others)
+        try:
+            Linear(section.terms)
+        except ConstraintError as error:
+            yield from (error, *error.others)
 
     raise_all(errors())
     if not limits:
@@ -88,36 +83,25 @@ def _constraint(name: str, values: object, steps: int, folder: Path) -> CustomCo
         if len(limits) > 1:
             raise ConstraintError("cannot be combined with at_least or at_most", "equal")
         limits = dict.fromkeys(("at_least", "at_most"), limits["equal"])
-    return CustomConstraint.of(name, Linear(values["terms"]), **limits)
+    return CustomConstraint.of(name, Linear(section.terms), **limits)
 
 
-def _errors_of_keys(values: Mapping[str, Any], known: Sequence[str]) -> Iterator[ConstraintError]:
-    for key in values:
-        if key not in known:
-            yield ConstraintError(f"unknown key; {nearest(key, known)}", key)
-    meant = {name for key in values if key not in known for name in close(key, known)}
-    if not isinstance(values.get("terms"), Mapping) and ("terms" in values or "terms" not in meant):
-        yield ConstraintError("must be a mapping from kind.quantity to a factor", "terms")
-
-
-def _limit(value: object, key: str, steps: int, folder: Path) -> float | list[float]:
-    if isinstance(value, Mapping):
-        if set(value) != {"file", "column"}:
-            raise ConstraintError("must be a number, a list, or {file: , column: }", key)
-        path, heading = folder / str(value["file"]), str(value["column"])
+def _limit(
+    value: float | list[float] | ColumnSection, key: str, grid: Grid, folder: Path
+) -> float | list[float]:
+    if isinstance(value, ColumnSection):
+        path, heading = folder / value.file, str(value.column)
+        options = value.model_dump(include=set(FILE_OPTIONS), exclude_none=True)
         try:
-            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
+            fitted = read_fitted(path, grid, [heading], **options)
+            return [float(number) for number in fitted.values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
-    numbers = []
-    for number in value if isinstance(value, list) else [value]:
-        if not (is_number(number) and bounded(number)):
-            raise ConstraintError(
-                f"{shown(number)}: must be a finite number, or a list with one per step", key
-            )
-        numbers.append(float(number))
     if not isinstance(value, list):
-        return numbers[0]
+        return value
+    steps, numbers = grid.steps, value
+    if grid.at_end == "repeat":
+        numbers = repeated(numbers, steps)
     if len(numbers) < steps:
         raise ConstraintError(f"has {len(numbers)} values; {steps} are needed (steps + horizon - 1)", key)
     return numbers[:steps]
@@ -135,7 +119,7 @@ def check_constraints(
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
     with document.faults:
         with document.located("controller"):
-            model = bare.declare(stages=1)
+            model = bare.declare(Horizon.chain(1, problem.step))
         stage: Any = PhysicalStage(model)
         for name, constraint in constraints.items():
             with document.faults, document.located("constraints", name):

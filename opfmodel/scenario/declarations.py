@@ -18,22 +18,22 @@ from opfmodel.errors import (
     PluginError,
     ProfileError,
     ScenarioError,
-    UnitError,
     name_fault,
     nearest,
     raise_all,
     shown,
 )
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.bounds import LARGEST, bounded, is_number
+from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.cases import read_network
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Bus
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network, name_pattern
-from opfmodel.network.quantities import CURRENCY, Basis, is_quantity, read_quantity
+from opfmodel.network.quantities import Basis
 from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document, Key, colon_hint
+from opfmodel.scenario.schema import NetworkSection, ScenarioFile
 
 __all__ = ["Declarations", "component_kinds"]
 
@@ -44,32 +44,25 @@ class Declarations:
     Every fault is collected. A component with a fault is in the network with stand-ins for its values,
     so that what refers to it by name can be checked.
 
-    Parameters
-    ----------
-    currency
-        Name of the currency of the scenario.
-
     Attributes
     ----------
     complete
         Whether the network has a component for every name that is meant to be declared.
     """
 
-    _OWN = ("file", "name", "base_mva", "default_cost", "lossy", "update", "remove")
-
-    def __init__(self, document: Document, section: dict[str, Any], currency: str = CURRENCY) -> None:
+    def __init__(self, document: Document, settings: ScenarioFile) -> None:
         self.document = document
-        self.section = section
-        self.currency = currency
+        self.section = settings.network
+        self.currency = settings.currency
         self.faults = document.faults
-        self.complete = not self.faults.broken("network")
+        self.complete = not self.faults.lost("network")
         kinds, self.broken = component_kinds()
         self.kinds = {kind.plural: kind for kind in kinds}
 
     def network(self, name: str) -> Network:
         """Build the declared network; ``name`` applies unless the section states its own."""
-        known = (*self._OWN, *self.kinds)
-        for key in self.section:
+        known = (*NetworkSection.model_fields, *self.kinds)
+        for key in self.section.components:
             if key not in known:
                 broken = "".join(f"; {reason}" for reason in self.broken)
                 self._refuse((key,), f"unknown key; {nearest(key, known)}{broken}")
@@ -80,16 +73,12 @@ class Declarations:
         for plural in sorted(self.kinds, key=lambda p: p != "buses"):
             for component, fields in self._members(plural):
                 self._declare(network, self.kinds[plural], component, fields)
-        for component, fields in self._members("update"):
+        for component, fields in (self.section.update or {}).items():
             self._update(network, component, fields)
-        removed = self.section.get("remove") or []
-        if not isinstance(removed, list):
-            self._refuse(("remove",), f"{shown(removed)}: must be a list of component names")
-            removed = []
-        for number, component in enumerate(map(str, removed)):
-            if component in network or self.complete:
+        for number, removed in enumerate(map(str, self.section.remove or ())):
+            if removed in network or self.complete:
                 with self.faults, self.document.located("network", "remove", number):
-                    network.remove(component)
+                    network.remove(removed)
         return network
 
     def check(self, network: Network) -> None:
@@ -125,8 +114,7 @@ class Declarations:
     def _declared(self) -> tuple[dict[str, Key], dict[str, Key]]:
         """Path of keys to every declaration, by name and by pattern."""
         names: tuple[dict[str, Key], dict[str, Key]] = ({}, {})
-        for section in (*self.kinds, "update"):
-            members = self.section.get(section)
+        for section, members in {**self.section.components, "update": self.section.update}.items():
             for name in members if isinstance(members, dict) else ():
                 names["*" in name].setdefault(name, ("network", section, name))
         return names
@@ -137,61 +125,43 @@ class Declarations:
 
     def _start(self, name: str) -> Network:
         """Return the network of the file or an empty one, which also stands in if there is a fault."""
-        network = Network()
+        network, file = Network(), self.section.file
         with self.faults:
-            network = self._read() if self.section.get("file") is not None else self._empty(name)
-        self.complete &= not any(
-            self.faults.broken("network", key) for key in ("file", "default_cost", "lossy")
-        )
+            network = self._empty(name) if file is None else self._read(file)
+        self.complete &= not self.faults.lost("network", "file")
         return network
 
     def _empty(self, name: str) -> Network:
-        named, base_mva = self.section.get("name", name), self._number("base_mva", "MVA")
-        if not isinstance(named, str) or name_fault(named):
-            self._refuse(("name",), f"{shown(named)}: must be text of visible characters")
-            named = name
+        named, base_mva = self.section.name, self._sound("base_mva")
+        if named is not None and (fault := name_fault(named)):
+            self._refuse(("name",), f"{shown(named)}: the name {fault}")
+            named = None
         with self.document.located("network", "base_mva"):
-            return Network(named, 100.0 if base_mva is None else base_mva)
+            return Network(name if named is None else named, 100.0 if base_mva is None else base_mva)
 
-    def _number(self, key: str, unit: str) -> Any:
-        """Return the value of a key, in its unit if it is text with one; None if there is a fault in it."""
-        value = self.section.get(key)
-        if self.faults.broken("network", key):
-            return None
-        if not is_quantity(value):
-            return value
-        try:
-            return read_quantity(value, unit, Basis(self.currency))
-        except UnitError as fault:
-            self._refuse((key,), f"{shown(value)}: {fault}")
-        return None
+    def _sound(self, key: str) -> Any:
+        """Return a value of the section; None in place of one with a fault."""
+        return None if self.faults.lost("network", key) else getattr(self.section, key)
 
-    def _read(self) -> Network:
-        file, price = self.section.get("file"), self._number("default_cost", "$/MWh")
-        lossy = self.section.get("lossy", False)
-        if self.section.get("base_mva") is not None:
+    def _read(self, file: str) -> Network:
+        price = self._sound("default_cost")
+        if self.section.base_mva is not None:
             self._refuse(("base_mva",), "cannot be combined with file, which sets it")
-        if price is not None and not is_number(price):
-            self._refuse(("default_cost",), f"{shown(price)}: must be a number in $/MWh")
-            price = None
-        if not isinstance(lossy, bool):
-            self._refuse(("lossy",), f"{shown(lossy)}: must be true or false")
-            lossy = True
-        if not isinstance(file, str):
-            raise self.document.error(("network", "file"), "must be a path relative to this file")
         with self.document.located("network", "file"), self.document.warned("network", "file"):
             return read_network(
                 self.document.path.parent / file,
-                default_cost=None if price is None else Polynomial(0.0, float(price), 0.0),
-                lossy=lossy,
+                default_cost=None if price is None else Polynomial(0.0, price, 0.0),
+                lossy=self.section.lossy,
             )
 
     def _members(self, section: str) -> Iterator[tuple[str, dict[str, Any]]]:
-        members = self.section.get(section) or {}
+        members = self.section.components.get(section, {})
+        if members is None:  # a key without a value
+            return
         if not isinstance(members, dict):
             hint = colon_hint(members)
             self._refuse((section,), f"{shown(members)}: must be a mapping from names to fields{hint}")
-            self.complete &= section == "update"
+            self.complete = False
             return
         for name, fields in members.items():
             if isinstance(fields, dict):
@@ -199,8 +169,7 @@ class Declarations:
                 continue
             hint = colon_hint(fields)
             self._refuse((section, name), f"{shown(fields)}: must be a mapping from fields to values{hint}")
-            if section != "update":
-                yield name, {}
+            yield name, {}
 
     def _declare(self, network: Network, kind: type[Component], pattern: str, fields: dict[str, Any]) -> None:
         """Declare one component, or one per bus if name and bus contain a star."""

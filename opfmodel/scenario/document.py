@@ -245,13 +245,16 @@ def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseMo
         if len(parts) > 1 and parts[0] in known:
             return f"unknown key; nest it: {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
         return f"unknown key; {nearest(str(key[-1]), known)}"
-    value = fault.get("input")
+    # a branch of the type that the value has says more than those of other types
+    faults = [fault for fault in faults if not fault["type"].endswith("_type")] or faults
+    fault, value = faults[0], faults[0].get("input")
     scalar = isinstance(value, str | int | float | bool | None) and fault["type"] != "missing"
     of_model = any(fault["type"] == "model_type" for fault in faults)
     keys = ", ".join(_model_at(model, key).model_fields) if of_model else ""
     first, *others = dict.fromkeys(map(fault_message, faults))
     message = " or ".join([first, *(other.removeprefix("must be ") for other in others)])
-    hint = colon_hint(value) if of_model else ""
+    of_mapping = of_model or any(fault["type"] in ("dict_type", "mapping_type") for fault in faults)
+    hint = colon_hint(value) if of_mapping else ""
     return (
         (f"{shown(value)}: " if scalar else "")
         + message

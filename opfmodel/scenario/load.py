@@ -10,31 +10,35 @@ from typing import Any
 import numpy as np
 
 from opfmodel import plugins
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.data.source import Source
 from opfmodel.data.yaml import MOST_LEVELS, Place
 from opfmodel.errors import ScenarioError, nearest, shown
+from opfmodel.horizon import Horizon
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
 from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import End, MultiStage
+from opfmodel.plan import End, MultiStage, Risk
 from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
 from opfmodel.scenario.overlay import laid
 from opfmodel.scenario.parts import (
     make_forecast,
+    make_horizon,
     make_objective,
     make_plant,
     make_profiles,
     make_rules,
+    make_scenarios,
     planned_objective,
 )
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.scenario.timing import settled
+from opfmodel.scenario.timing import completed, settled
 from opfmodel.simulation import Plant, check_response
 from solvers import Kind, find
 
@@ -110,28 +114,35 @@ class _Reader:
         """Return the scenario; None if there is a fault."""
         document, settings, faults = self.document, self.settings, self.document.faults
         scenario: Scenario | None = None
-        declarations = Declarations(document, settings.network, settings.currency)
+        declarations = Declarations(document, settings)
         network = declarations.network(name)
         declarations.check(network)
         cost = make_objective(document, ("cost",), settings.cost, settings.basis)
-        calendar = None
-        if declarations.complete and not faults.broken("time"):
-            with faults:
-                settings, calendar = settled(document, settings, network)
         rules = make_rules(document, settings, network)
         forecast = make_forecast(document, settings)
-        constraints = read_constraints(document, settings)
         plant = self._plant()
+        scenarios = make_scenarios(document, settings)
+        grid = Grid(settings.length, settings.time.step)
+        if declarations.complete and not faults.broken("time"):
+            with faults:
+                settings, grid = settled(document, settings, network)
+        profiles = Profiles()
+        if declarations.complete:
+            profiles = make_profiles(document, settings, network, grid, rules)
+            if not (faults.broken("time") or faults.broken("profiles")):
+                with faults:
+                    settings = completed(document, settings, grid)
+        constraints = read_constraints(document, settings, grid)
         if not declarations.complete:
             return None
-        profiles = make_profiles(document, settings, network, calendar, rules)
 
         def single_stages() -> Setpoints:
             assert scenario is not None
-            return scenario.single_stages(settings.length).setpoints()
+            return scenario.single_stages(grid.steps).setpoints()
 
-        objective = planned_objective(document, settings, network, cost, single_stages)
-        problem = self._problem(settings, network, profiles, objective)
+        objective = planned_objective(document, settings, network, cost, grid, single_stages)
+        horizon = make_horizon(document, settings, scenarios)
+        problem = self._problem(settings, network, profiles, objective, horizon)
         if problem is None:
             return None
         for own in constraints.values():
@@ -146,7 +157,7 @@ class _Reader:
                     check_response(forecast, plant)
         if faults or forecast is None:
             return None
-        scenario = Scenario(title, document, problem, cost, forecast, settings)
+        scenario = Scenario(title, document, problem, cost, forecast, scenarios, settings, grid)
         with faults:
             scenario.check_forecast()
         return scenario
@@ -163,7 +174,12 @@ class _Reader:
         return None
 
     def _problem(
-        self, settings: ScenarioFile, network: Network, profiles: Profiles, objective: Objective
+        self,
+        settings: ScenarioFile,
+        network: Network,
+        profiles: Profiles,
+        objective: Objective,
+        horizon: Horizon,
     ) -> MultiStage | None:
         """Build the problem of the ``controller`` section, without custom constraints.
 
@@ -177,19 +193,26 @@ class _Reader:
         if solver.name != "auto":
             with faults, document.located("controller", "solver"):
                 find(solver.name, Kind.LINEAR)
+        risk = None if controller.scenarios is None else controller.scenarios.risk
+        averse = None
+        with faults, document.located("controller", "scenarios", "risk"):
+            averse = None if risk is None else Risk(**risk.model_dump())
         sound = not faults
         try:
             with document.located("controller"):
                 return MultiStage(
                     network,
-                    controller.horizon,
-                    settings.time.step,
+                    horizon,
                     formulation=formulation,
                     objective=objective,
                     profiles=profiles if sound else None,
                     generator_delay=controller.generator_delay,
                     end=End(**controller.end.model_dump()),
+                    at_end="shrink"
+                    if settings.time.at_end == "shrink"
+                    else "error",  # what repeats is complete
                     regularisation=controller.regularisation,
+                    risk=averse,
                     solver=solver.name,
                     options=solver.options,
                 )

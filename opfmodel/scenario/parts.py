@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel import plugins
-from opfmodel.data.calendar import Calendar
-from opfmodel.data.columns import read_columns
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, ScenarioError, nearest, shown
-from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
@@ -26,17 +26,20 @@ from opfmodel.objectives.economic import Economic
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.profiles.base import ProfileRule, Workbook
-from opfmodel.scenario.document import Document, colon_hint
+from opfmodel.scenario.document import Document, check_printable, colon_hint
+from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
 __all__ = [
     "Rule",
     "make_forecast",
+    "make_horizon",
     "make_objective",
     "make_plant",
     "make_profiles",
     "make_rules",
+    "make_scenarios",
     "planned_objective",
 ]
 
@@ -68,7 +71,7 @@ def make_profiles(
     document: Document,
     settings: ScenarioFile,
     network: Network,
-    calendar: Calendar | None,
+    grid: Grid,
     rules: Iterable[Rule],
 ) -> Profiles:
     """Build the time series by applying the profile rules of the file to those attached to the network.
@@ -78,17 +81,17 @@ def make_profiles(
 
     Parameters
     ----------
-    calendar
-        Time stamps of the steps; None if the steps are only numbered.
+    grid
+        The steps that they cover; the first series with time stamps completes it.
     """
     faults = document.faults
     sections = ("network", "time", "controller", "profiles")
     with faults:
         _check_size(document, settings, network)
-    book = Workbook(network, settings.length, settings.time.step, document.path.parent)
+    book = Workbook(network, grid, document.path.parent)
     if not faults.broken("time"):
-        with faults:
-            book.series |= _attached(document, settings, network, calendar)
+        with faults, document.located("time", "steps"):
+            book.series |= _attached(network, grid)
     for each in rules:
         sound = not any(map(faults.broken, sections))
         with faults, document.located(*each.key), _sourced(book), _checked(sound), document.warned(*each.key):
@@ -99,7 +102,8 @@ def make_profiles(
     if any(map(faults.broken, sections)):
         return Profiles()
     with faults, document.located("profiles"), _sourced(book):
-        made = Profiles(book.series, calendar)
+        made = Profiles({key: values[: grid.steps] for key, values in book.series.items()}, grid.calendar)
+        made.repeats = grid.at_end == "repeat"
         check_series(made, network)
         return made
     return Profiles()
@@ -118,25 +122,17 @@ def _checked(sound: bool) -> Iterator[None]:
                 raise
 
 
-def _attached(
-    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
-) -> Profiles:
-    """Return the time series attached to the network, from the first step on."""
-    with document.located("time"):
-        series = Profiles({}, calendar).or_else(network.profiles)
-    if series.length is not None and series.length < settings.length:
-        raise document.error(
-            ("time", "steps"),
-            f"{settings.time.steps:,}: with a horizon of {settings.controller.horizon}, time series of "
-            f"{settings.length:,} values are needed; those of the network have {series.length:,} from the "
-            "first step on",
-        )
-    return series.steps(slice(0, settings.length))
+def _attached(network: Network, grid: Grid) -> Profiles:
+    """Return the time series attached to the network, for the steps."""
+    try:
+        return grid.take(network.profiles)
+    except ProfileError as error:
+        raise ProfileError(f"time series of the network: {error}") from error
 
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
     """Raise an error, before building any series, if series or results would not fit in memory."""
-    steps, horizon = settings.time.steps, settings.controller.horizon
+    steps, horizon = settings.time.steps, settings.ahead
     loads = len(network.of(Load))
     with document.located("time", "steps"):
         check_memory(f"{steps:,}", run_bytes(len(network), steps) + series_bytes(loads, steps))
@@ -213,6 +209,43 @@ def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None
     return None
 
 
+def make_scenarios(document: Document, settings: ScenarioFile) -> Scenarios | None:
+    """Create the futures that the controller plans for; None for the forecast alone or with a fault."""
+    section, at = settings.controller.scenarios, ("controller", "scenarios")
+    if section is None or document.faults.broken(*at):
+        return None
+    cases = {}
+    for case, stated in section.cases.items():
+        with document.faults:
+            check_printable(document, (*at, "cases", case), case)
+        rules = []
+        for number, spec in enumerate(stated.profiles):
+            key = (*at, "cases", case, "profiles", number)
+            with document.faults:
+                name, options = _single(document, key, spec, "profile")
+                with document.located(*key, name):
+                    rules.append(plugins.make("profile", name, options))
+        cases[case] = Case(stated.probability, rules)
+    with document.faults, document.located(*at):
+        draw = None if section.draw is None else Draw(**section.draw.model_dump())
+        return Scenarios(section.common, cases, draw, document.path.parent)
+    return None
+
+
+def make_horizon(document: Document, settings: ScenarioFile, scenarios: Scenarios | None) -> Horizon:
+    """Create the nodes in time of the plans; a single one if there is a fault."""
+    step = settings.time.step
+    hours = settings.controller.lengths(step)
+    made = Horizon.chain(1, step)
+    with document.faults:
+        with document.located("controller", "horizon"):
+            made = Horizon.grid(hours, step)
+        if scenarios is not None:
+            with document.located("controller", "scenarios"):
+                made = scenarios.horizon(hours, step)
+    return made
+
+
 def make_plant(settings: ScenarioFile) -> Plant:
     """Create the plant of a closed loop, without history."""
     section = settings.plant
@@ -228,12 +261,15 @@ def planned_objective(
     settings: ScenarioFile,
     network: Network,
     cost: Objective,
+    grid: Grid,
     single_stages: Callable[[], Setpoints],
 ) -> Objective:
     """Return the objective that plans minimise: that of the controller, or the cost.
 
     Parameters
     ----------
+    grid
+        The steps of the time series.
     single_stages
         Returns the single-stage optima; called only when they are used.
     """
@@ -242,7 +278,7 @@ def planned_objective(
         return cost
 
     def setpoints(value: Any) -> Setpoints:
-        return _setpoints(value, document, settings.length, network, single_stages)
+        return _setpoints(value, document, grid, network, single_stages)
 
     return make_objective(
         document, ("controller", "objective"), stated, settings.basis, {Setpoints: setpoints}
@@ -250,14 +286,14 @@ def planned_objective(
 
 
 def _setpoints(
-    value: Any, document: Document, steps: int, network: Network, single_stages: Callable[[], Setpoints]
+    value: Any, document: Document, grid: Grid, network: Network, single_stages: Callable[[], Setpoints]
 ) -> Setpoints:
     """Convert set-points from a scenario file.
 
     Parameters
     ----------
-    steps
-        Number of values required of a CSV file.
+    grid
+        The steps that a file or a list of values covers.
     single_stages
         Solves for the single-stage optima; called only when they are used.
     """
@@ -267,8 +303,10 @@ def _setpoints(
         raise ModelError(
             f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
         )
-    if set(value) == {"file"}:
-        value = read_columns(document.path.parent / str(value["file"]), steps).values
+    if "file" in value and set(value) <= {"file", *FILE_OPTIONS}:
+        value = read_fitted(document.path.parent / str(value["file"]), grid, **value).values
+    elif grid.at_end == "repeat":
+        value = {key: repeated(values, grid.steps) for key, values in value.items()}
     given = Setpoints(value)
     given.arrays(per_unit(network))  # so that errors are located in the file
     return given

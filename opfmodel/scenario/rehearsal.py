@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.parts import planned_objective
 from opfmodel.scenario.scenario import Scenario
+from opfmodel.simulation import check_first_stage
 from solvers import SolverError
 
 __all__ = ["rehearse"]
@@ -34,13 +36,16 @@ def rehearse(scenario: Scenario) -> None:
         scenario.settings,
         scenario.network,
         scenario.cost,
+        scenario.grid,
         lambda: _stand_in(scenario.problem.arrays),
     )
     problem = scenario.problem.variant(elastic=None, objective=objective)
     with faults, document.located("time", "steps"):
         problem.check_lengths(scenario.steps, scenario.cost)
+    with faults, document.located("controller"):
+        check_first_stage(problem)
     with faults:
-        _compile(scenario, problem.variant(elastic=None, horizon=1))
+        _compile(scenario, problem.variant(elastic=None, horizon=Horizon.chain(1, problem.step)))
     if scenario.starts_from_single_stage:
         with faults, document.located("cost"):
             scenario.single_stage().compile()

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
-from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts import Forecast, Scenarios
 from opfmodel.model import Elastic
 from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
@@ -18,7 +19,7 @@ from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequenc
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.parts import make_plant
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.simulation import Controller, Plant, Run, simulate
+from opfmodel.simulation import Controller, Plant, Run, check_first_stage, simulate
 
 __all__ = ["Scenario"]
 
@@ -39,8 +40,12 @@ class Scenario:
         Objective with which realised costs are evaluated.
     forecast
         The controller's forecast of the profiles.
+    scenarios
+        The futures that the controller plans for; None for the forecast alone.
     settings
         Validated content of the file.
+    grid
+        The steps that the time series cover.
     """
 
     name: str
@@ -48,7 +53,9 @@ class Scenario:
     problem: MultiStage
     cost: Objective
     forecast: Forecast
+    scenarios: Scenarios | None
     settings: ScenarioFile
+    grid: Grid
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property
@@ -130,10 +137,16 @@ class Scenario:
 
     def check_forecast(self) -> None:
         """Raise :class:`ScenarioError` if the first or the last forecast of the loop cannot be made."""
-        controller = Controller(self.problem, self.forecast)
-        for time in sorted({0, self.steps - 1}):
-            with self.document.located("forecast"):
+        steps = sorted({0, self.steps - 1})
+        with self.document.located("forecast"):
+            controller = Controller(self.problem, self.forecast)
+            for time in steps:
                 controller.expected(time)
+        if self.scenarios is not None:
+            with self.document.located("controller", "scenarios"):
+                controller = Controller(self.problem, self.forecast, scenarios=self.scenarios)
+                for time in steps:
+                    controller.expected(time)
 
     def simulate(self, progress: bool = False) -> Run:
         """Run the closed loop of the scenario.
@@ -144,9 +157,17 @@ class Scenario:
             The first or the last forecast of the loop cannot be made; the message gives the position
             of the key ``forecast``.
         """
+        with self.document.located("controller"):
+            check_first_stage(self.problem)
         self.check_forecast()
         return simulate(
-            Controller(self.problem, self.forecast, self.settings.controller.on_infeasible, self.elastic),
+            Controller(
+                self.problem,
+                self.forecast,
+                self.settings.controller.on_infeasible,
+                self.elastic,
+                self.scenarios,
+            ),
             self.plant(),
             steps=self.steps,
             initial=self.initial(),

@@ -1,18 +1,38 @@
-"""Schema of scenario files; ``docs/scenarios.md`` documents the keys."""
+"""Schema of scenario files: keys with their types, bounds and descriptions.
+
+The tables of ``docs/scenarios.md`` and the JSON Schema are generated from it.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, FailFast, Field, field_validator, model_validator
 
+from opfmodel.data.resampling import Resample
 from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
 from opfmodel.network.quantities import CURRENCY, Basis, In, currency_fault
+from opfmodel.plan.extent import AtEnd
 from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
-__all__ = ["ScenarioFile", "Spec"]
+if TYPE_CHECKING:
+    from pydantic import GetJsonSchemaHandler
+    from pydantic_core import CoreSchema
+
+__all__ = [
+    "MOST_VARIANTS",
+    "ColumnSection",
+    "ConstraintSection",
+    "NetworkSection",
+    "Of",
+    "ScenarioFile",
+    "Section",
+    "Spec",
+]
 
 One = str | dict[str, Any]
 
@@ -31,55 +51,193 @@ _BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {
 _BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
 _BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
 _BY_FORM = Choice(lambda values: "points" in values if values else None)
+_BY_SOURCE = Choice(lambda values: "draw" if "draw" in values else "cases" if "cases" in values else None)
 # The costs, which are the only mappings in fields of components: <section>.<component>.<field>.
 _COSTS = Inside(3, _BY_FORM)
 
-_MOST_VARIANTS = 200
+MOST_VARIANTS = 200
+
+
+@dataclass(frozen=True)
+class Of:
+    """Mark of a key whose value is a plugin, components or overrides: what its JSON Schema is to contain."""
+
+    sort: str
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Name the sort, for :mod:`opfmodel.scenario.reference` to replace."""
+        return {"x-sort": self.sort}
 
 
 class Section(BaseModel):
+    """Keys of a mapping; others are refused, and types are not converted."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
+class NetworkSection(Section):
+    """The grid: a network file, components by name, and changes to them."""
+
+    model_config = ConfigDict(extra="allow")  # components by name, in sections named after their kind
+
+    file: str | None = Field(
+        None, description="network file to start from: MATPOWER, PSS/E, pandapower, PyPSA and others"
+    )
+    name: str | None = Field(
+        None, description="name of a network without a file; by default that of the scenario"
+    )
+    base_mva: Annotated[float | None, In("MVA")] = Field(
+        None,
+        description="power base of impedances and of weights in per unit, from 1e-6 to 1e9, by default 100; "
+        "given by the file if there is one",
+    )
+    default_cost: Annotated[float | None, In("$/MWh")] = Field(
+        None, description="cost of generators for which the file states none"
+    )
+    lossy: bool = Field(
+        False, description="whether to read a file of which something cannot be represented, with a warning"
+    )
+    update: Annotated[dict[str, dict[str, Any]] | None, Of("update")] = Field(
+        None,
+        description="changes to fields, by component name or pattern (`gen*`), after all declarations",
+    )
+    remove: list[str | int] | None = Field(
+        None, description="names of components to remove, after all other changes"
+    )
+
+    @property
+    def components(self) -> dict[str, Any]:
+        """Mappings of components by the plural of their kind, and keys that are unknown."""
+        return self.model_extra or {}
+
+
 class TimeSection(Section):
-    start: str | None = Field(None, description="beginning of the first step, ISO 8601")
-    zone: str | None = Field(None, description="time zone, such as Europe/Berlin")
-    step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = 1.0
-    steps: int = Field(1, ge=1)
+    start: str | None = Field(
+        None,
+        description="beginning of the first step, ISO 8601; without an offset it is in the zone; "
+        "by default that of the network's series, if any",
+    )
+    zone: str | None = Field(
+        None,
+        description="time zone, such as Europe/Berlin; by default that of the network's series, else UTC",
+    )
+    step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = Field(
+        1.0,
+        description="length of a stage, from 1e-6 to 1e6; by default that of the network's series, if any",
+    )
+    steps: int = Field(
+        1,
+        ge=1,
+        description="steps of the closed loop, at least 1; by default as many as the network's series allow",
+    )
+    at_end: AtEnd = Field("error", description="what to do where data end before the last plan")
 
 
 class EndSection(Section):
-    cyclic: bool = False
-    minimum: float = Field(0.0, ge=0, le=1)
-    price: Annotated[float, In("$/MWh")] = 0.0
+    cyclic: bool = Field(
+        False, description="whether stored energy at the end of a plan equals that at its start"
+    )
+    minimum: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="minimum stored energy at the end of a plan as a share of the capacity, from 0 to 1",
+    )
+    price: Annotated[float, In("$/MWh")] = Field(
+        0.0, description="value of the energy stored at the end of a plan"
+    )
 
 
 Price = Annotated[float, Field(gt=0, allow_inf_nan=False), In("$/MWh")]
-Cost = Annotated[float | None, In("$")]
 
 
 class ElasticSection(Section):
-    limit: Price = Elastic.limit
-    shedding: Price = Elastic.shedding
-    balance: Price = Elastic.balance
+    limit: Price = Field(Elastic.limit, description="penalty price of violated limits")
+    shedding: Price = Field(Elastic.shedding, description="penalty price of load shedding")
+    balance: Price = Field(Elastic.balance, description="penalty price of unserved balance")
 
 
 class SolverSection(Section):
-    name: str = "auto"
-    options: dict[str, Any] = Field(default_factory=dict)
+    name: str = Field("auto", description="name of the back end or solver, if it has options")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="options passed to the solver unchanged"
+    )
+
+
+class HorizonSection(Section):
+    hours: list[Annotated[float, In("h")]] = Field(min_length=1, description="length of each stage of a plan")
+
+
+class CaseSection(Section):
+    probability: float = Field(description="probability of this future")
+    profiles: Annotated[List, Of("profile")] = Field(
+        default_factory=list, description="rules applied to the expected series after the common part"
+    )
+
+
+class DrawSection(Section):
+    number: int = Field(description="futures to draw from the error model of the forecast")
+    keep: int = Field(description="futures to keep after reduction")
+    seed: int = Field(0, description="seed of the random numbers")
+
+
+class RiskSection(Section):
+    level: float = Field(description="share of the futures that the tail leaves out")
+    weight: float = Field(description="weight of the mean cost of the tail, below 1")
+
+
+class ScenariosSection(Section):
+    common: int = Field(1, ge=0, description="stages at the start that all futures share")
+    cases: dict[str, CaseSection] = Field(default_factory=dict, description="futures by name")
+    draw: DrawSection | None = Field(None, description="futures drawn at random, in place of cases")
+    risk: RiskSection | None = Field(None, description="weighing of expensive futures")
 
 
 class ControllerSection(Section):
-    horizon: int = Field(1, ge=1)
-    formulation: str = "ac"
-    objective: Annotated[Spec | None, _BY_KEY] = None
-    generator_delay: Literal[0, 1] = 0
-    initial_dispatch: Literal["free", "single-stage"] | None = None
-    end: EndSection = Field(default_factory=EndSection)
-    regularisation: float | None = Field(None, ge=0)
-    on_infeasible: OnInfeasible = "stop"
-    elastic: ElasticSection = Field(default_factory=ElasticSection)
-    solver: Annotated[str | SolverSection, _BY_NAME] = "auto"
+    horizon: Annotated[int, Field(ge=1)] | HorizonSection = Field(
+        1, description="stages of a plan, at least 1, or their lengths"
+    )
+    scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = Field(
+        None, description="futures of a plan, as a tree of scenarios"
+    )
+    formulation: Annotated[str, Of("formulation")] = Field(
+        "ac", description="equations of the grid in the plans"
+    )
+    objective: Annotated[Spec | None, _BY_KEY, Of("objective")] = Field(
+        None, description="objective that plans minimise; by default that of `cost`"
+    )
+    generator_delay: Literal[0, 1] = Field(0, description="delay of the dispatch in stages")
+    initial_dispatch: Literal["free", "single-stage"] | None = Field(
+        None,
+        description="`single-stage`: the AC optimum of the first demand without storage, whatever the "
+        "formulation; `free`: chosen by the first plan; by default `single-stage` with a delay of 1, else "
+        "`free`",
+    )
+    end: EndSection = Field(default_factory=EndSection, description="end of the horizon")
+    regularisation: float | None = Field(
+        None,
+        ge=0,
+        description="weight in $/(h p.u.²) on the squares of storage power, in per unit on 100 MVA or, if "
+        "smaller, on the power of ten at or below the capacity of the system; not part of reported costs; by "
+        "default 0.01 for `economic`, `loss-minimisation` and `voltage-deviation`, else 0",
+    )
+    on_infeasible: OnInfeasible = Field(
+        "stop", description="what follows an infeasible problem; `elastic`: continue with an elastic plan"
+    )
+    elastic: ElasticSection = Field(
+        default_factory=ElasticSection, description="penalty prices of elastic plans"
+    )
+    solver: Annotated[str | SolverSection, _BY_NAME] = Field(
+        "auto",
+        description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`), solver (`scs`) or both "
+        "(`conic:scs`)",
+    )
+
+    def lengths(self, step: float) -> list[float]:
+        """Hours of each stage of a plan, for a given length of a step."""
+        return self.horizon.hours if isinstance(self.horizon, HorizonSection) else [step] * self.horizon
 
     @property
     def back_end(self) -> SolverSection:
@@ -90,7 +248,11 @@ class ControllerSection(Section):
 class PlantSection(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)  # the options of the plant
 
-    mode: str = "nominal"
+    mode: str = Field(
+        "nominal",
+        description="plant that responds to the plans; its options are keys next to `mode`, and "
+        "`plant: redispatch` stands for `plant: {mode: redispatch}`",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -99,30 +261,80 @@ class PlantSection(BaseModel):
         return _BY_MODE.spelt_out(value)
 
 
+class ColumnSection(Section):
+    """A column of a CSV file, with one value per step."""
+
+    file: str = Field(description="CSV file")
+    column: str | int = Field(description="heading of a column")
+    time_column: str | int | None = Field(None, description="heading of the column of times")
+    resample: Resample | None = Field(None, description="how values of another step are converted")
+
+
+Numbers = Annotated[list[float], _FirstError()]
+Limit = float | Numbers | ColumnSection | None
+
+
+class ConstraintSection(Section):
+    """A linear constraint on plans, in every stage."""
+
+    terms: dict[str, float] = Field(
+        description="factors of the sum by `kind.quantity` or `component.quantity`"
+    )
+    at_least: Limit = Field(None, description="minimum of the sum; at least one of the two limits is needed")
+    at_most: Limit = Field(None, description="maximum of the sum")
+    equal: Limit = Field(None, description="fixed value of the sum, in place of the two limits")
+
+
+Cost = Annotated[float | None, In("$")]
+
+
 class PublishedSection(Section):
-    source: str
-    J_e: Cost = None
-    J_s: Cost = None
-    J_t: Cost = None
-    J_b: Cost = None
+    source: str = Field(description="reference for these costs")
+    J_e: Cost = Field(None, description="cost of the closed loop")
+    J_s: Cost = Field(None, description="cost of the single-stage optima")
+    J_t: Cost = Field(None, description="cost of the closed loop that tracks the single-stage optima")
+    J_b: Cost = Field(None, description="cost of the closed loop that tracks half-full storage")
 
 
 class ScenarioFile(Section):
     """The content of a scenario file."""
 
-    name: str | None = None
-    description: str = ""
-    currency: str = CURRENCY
-    network: Annotated[dict[str, Any], _COSTS]
-    time: TimeSection = Field(default_factory=TimeSection)
-    profiles: List = Field(default_factory=list)
-    cost: Annotated[Spec, _BY_KEY] = "economic"
-    controller: ControllerSection = Field(default_factory=ControllerSection)
-    forecast: Annotated[One, _BY_KEY] = "perfect"
-    plant: Annotated[PlantSection, _BY_MODE] = Field(default_factory=PlantSection)
-    constraints: dict[str, Any] = Field(default_factory=dict)
-    published: PublishedSection | None = None
-    variants: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    name: str | None = Field(
+        None,
+        description="name of the scenario and its results folder, by default that of the file; at most 120 "
+        "bytes, visible characters only, without / and \\",
+    )
+    description: str = Field("", description="free text")
+    currency: str = Field(
+        CURRENCY, description="name of the currency of all costs and prices, with which results are labelled"
+    )
+    network: Annotated[NetworkSection, _COSTS] = Field(description="the grid")
+    time: TimeSection = Field(default_factory=TimeSection, description="steps of the closed loop")
+    profiles: Annotated[List, Of("profile")] = Field(
+        default_factory=list, description="rules that make time series, applied in order"
+    )
+    cost: Annotated[Spec, _BY_KEY, Of("objective")] = Field(
+        "economic", description="objective that meters the realised cost"
+    )
+    controller: ControllerSection = Field(
+        default_factory=ControllerSection, description="the controller, which solves a plan in each step"
+    )
+    forecast: Annotated[One, _BY_KEY, Of("forecast")] = Field(
+        "perfect", description="what the controller expects of the series"
+    )
+    plant: Annotated[PlantSection, _BY_MODE, Of("plant")] = Field(
+        default_factory=PlantSection, description="plant that responds to the plans"
+    )
+    constraints: dict[str, ConstraintSection] = Field(
+        default_factory=dict, description="linear constraints on plans, by name"
+    )
+    published: PublishedSection | None = Field(
+        None, description="costs from the literature; `opfmodel table` prints them beside the computed ones"
+    )
+    variants: Annotated[dict[str, dict[str, Any]], Of("variants")] = Field(
+        default_factory=dict,
+        description="overrides of keys, by name of the variant, at most 200; select one with --variant",
+    )
 
     @field_validator("currency")
     @classmethod
@@ -134,9 +346,9 @@ class ScenarioFile(Section):
     @field_validator("variants", mode="before")
     @classmethod
     def _few(cls, variants: Any) -> Any:
-        if isinstance(variants, dict) and len(variants) > _MOST_VARIANTS:
+        if isinstance(variants, dict) and len(variants) > MOST_VARIANTS:
             raise ValueError(
-                f"there are {len(variants):,} variants; at most {_MOST_VARIANTS} are accepted; "
+                f"there are {len(variants):,} variants; at most {MOST_VARIANTS} are accepted; "
                 "a study has no such limit"
             )
         return variants
@@ -149,4 +361,12 @@ class ScenarioFile(Section):
     @property
     def length(self) -> int:
         """Required length of time series, which must cover the horizon of the last plan."""
-        return self.time.steps + self.controller.horizon - 1
+        return self.time.steps + self.ahead - 1
+
+    @property
+    def ahead(self) -> int:
+        """Number of steps that a plan covers."""
+        horizon = self.controller.horizon
+        if isinstance(horizon, int):
+            return horizon
+        return max(math.ceil(sum(horizon.hours) / self.time.step - 1e-6), 1)

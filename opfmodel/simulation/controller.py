@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,10 @@ import numpy.typing as npt
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, listed, shown
 from opfmodel.forecasts.base import Forecast
+from opfmodel.forecasts.perfect import Perfect
+from opfmodel.forecasts.scenarios import Futures, Scenarios
 from opfmodel.model import Elastic
-from opfmodel.network.series import check_finite, window
+from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
 from solvers import SolutionStatus
 
@@ -58,11 +60,15 @@ class Controller:
         Response to an infeasible problem: ``stop``, or ``elastic`` to plan with soft limits.
     elastic
         Penalty prices of the soft limits.
+    scenarios
+        Futures around the forecast; the horizon of the problem is their tree, see :meth:`Scenarios.horizon`.
 
     Attributes
     ----------
     attempts
         The solves that the last plan took.
+    futures
+        The futures of the last plan; None without scenarios.
     """
 
     def __init__(
@@ -71,12 +77,17 @@ class Controller:
         forecast: Forecast | None = None,
         on_infeasible: OnInfeasible = "stop",
         elastic: Elastic | None = None,
+        scenarios: Scenarios | None = None,
     ) -> None:
         if on_infeasible not in get_args(OnInfeasible):
             raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
         if not isinstance(problem, MultiStage):
             raise ModelError(f"problem = {shown(problem)}: must be a MultiStage")
-        for name, value, kind in (("forecast", forecast, Forecast), ("elastic", elastic, Elastic)):
+        for name, value, kind in (
+            ("forecast", forecast, Forecast),
+            ("elastic", elastic, Elastic),
+            ("scenarios", scenarios, Scenarios),
+        ):
             if not (value is None or isinstance(value, kind)):
                 raise ModelError(
                     f"{name} = {shown(value)}: must be None or an object of class {kind.__name__}"
@@ -85,7 +96,9 @@ class Controller:
         self.forecast = forecast
         self.on_infeasible = on_infeasible
         self.elastic = Elastic() if elastic is None else elastic
+        self.scenarios = scenarios
         self.attempts: list[Attempt] = []
+        self.futures: Futures | None = None
         self._last: Plan | None = None
         self._repeated = problem.profiles
 
@@ -95,10 +108,10 @@ class Controller:
 
     def plan(self, time: int, state: Initial | None) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status."""
-        expected, last = self.expected(time), self._last
+        asked, last = self.request(time), self._last
         if last is not None and last.time > time:  # another run has begun
             last = None
-        solve = partial(self.problem.solve, time, state, expected=expected)
+        solve = partial(self.problem.solve, time, state, **asked)
         ladder: dict[str, Callable[[], Plan]] = {"cold": solve}
         if last is not None:
             ladder = {
@@ -113,7 +126,7 @@ class Controller:
                 break
         self._last = plan if plan.optimal else None
         if not plan.optimal and self.on_infeasible == "elastic":
-            plan = self._attempt("elastic", partial(self._twin.solve, time, state, expected=expected))
+            plan = self._attempt("elastic", partial(self._twin.solve, time, state, **asked))
         return plan
 
     def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
@@ -128,6 +141,14 @@ class Controller:
     def _twin(self) -> MultiStage:
         return self.problem.elastic_twin(self.elastic)
 
+    def request(self, time: int) -> dict[str, Any]:
+        """Return the keyword arguments of :meth:`MultiStage.solve` that hold what is expected at a step."""
+        expected, horizon = self.expected(time), self.problem.horizon
+        if self.futures is None or not horizon.varying:
+            return {"expected": expected}
+        shares = self.futures.probability.tolist()
+        return {"expected": expected, "horizon": horizon.with_probabilities(shares)}
+
     def expected(self, time: int) -> dict[tuple[str, str], Array] | None:
         """Return the forecast of the stages ahead, in per unit; None for the realised values.
 
@@ -136,12 +157,36 @@ class Controller:
         ProfileError, ModelError
             There is no forecast, it is not finite, or it does not cover the series.
         """
-        if self.forecast is None:
+        if self.forecast is None and self.scenarios is None:
             return None
+        problem, forecast = self.problem, self.forecast or Perfect()
+        horizon = problem.horizon_from(time)
+        actual = self._actual(time + horizon.steps)
+        expected = Profiles.of(forecast.expected(actual, time, horizon.steps))
+        where = f"forecast {type(forecast).__name__} at step {time}"
+        self._check_expected(expected, where)
+        futures = [expected]
+        if self.scenarios is not None:
+            self.futures = self.scenarios.futures(
+                expected,
+                time,
+                horizon,
+                actual=actual,
+                forecast=forecast,
+                network=problem.network,
+            )
+            futures = list(self.futures.series)
+            for name, future in zip(horizon.scenarios, futures, strict=True):
+                self._check_expected(future, f"{where}, scenario {name!r}")
+        ahead = problem.expected(futures, horizon)
+        if ("generator", "p_max") in ahead:  # never below minimum output
+            least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
+            ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
+        return ahead
+
+    def _check_expected(self, expected: Profiles, where: str) -> None:
+        """Raise an error unless expected series cover those of the problem with finite values."""
         problem = self.problem
-        stages = problem.stages_from(time)
-        expected = Profiles.of(self.forecast.expected(self._actual(time + stages), time, stages))
-        where = f"forecast {type(self.forecast).__name__} at step {time}"
         differing = sorted(map(str, expected.keys() ^ problem.profiles.keys()))
         if differing:
             raise ModelError(
@@ -152,11 +197,6 @@ class Controller:
             check_finite(expected, problem.network)
         except ProfileError as error:
             raise ModelError(f"{where}: {error}") from error
-        ahead = window(expected, problem.arrays, 0, stages)
-        if ("generator", "p_max") in ahead:  # never below minimum output
-            least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
-            ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)
-        return ahead
 
     def _actual(self, steps: int) -> Profiles:
         """Return the realised series; with at least ``steps`` values if they repeat."""

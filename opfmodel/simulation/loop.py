@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from typing import Any
 
-from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.errors import HorizonError, IncompatibleError, ModelError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.network.bounds import integer
 from opfmodel.objectives.base import Objective
@@ -20,7 +20,7 @@ from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
 from solvers.interrupt import interruptible
 
-__all__ = ["check_response", "simulate"]
+__all__ = ["check_first_stage", "check_response", "simulate"]
 
 
 def simulate(
@@ -77,6 +77,7 @@ def simulate(
         raise ModelError(f"plant = {plant!r}: must be a plant, such as PowerFlow()")
     check_response(controller.forecast, plant)
     problem = controller.problem
+    check_first_stage(problem)
     check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
     metered = problem.objective if objective is None else objective
     problem.check_lengths(steps, metered)
@@ -112,6 +113,21 @@ def simulate(
     return run
 
 
+def check_first_stage(problem: MultiStage) -> None:
+    """Raise :class:`ModelError` unless the first stage of a plan can be applied for one step."""
+    horizon = problem.horizon
+    if len(horizon.roots) > 1:
+        raise HorizonError(
+            "a closed loop applies the first stage, which all futures must share", "scenarios", "common"
+        )
+    if horizon.lengths[0] != 1:
+        raise HorizonError(
+            f"hours: {horizon.hours[0]:g}: the first stage of a closed loop must be one step of "
+            f"{horizon.base:g} h long",
+            "horizon", "hours", 0,
+        )  # fmt: skip
+
+
 def check_response(forecast: Forecast | None, plant: Plant) -> None:
     """Raise :class:`IncompatibleError` if the plant needs a perfect forecast and has an imperfect one."""
     if plant.needs_perfect_forecast and not (forecast is None or forecast.perfect):
@@ -134,6 +150,19 @@ def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any
         "iterations": sum(counted) if counted else None,
         "attempts": [asdict(attempt) for attempt in attempts],
         "plan_objective": plan.objective,
+        "scenarios": _scenarios(controller),
+    }
+
+
+def _scenarios(controller: Controller) -> dict[str, dict[str, Any]]:
+    """Probability of each scenario of the last plan, and the number of paths for which it stands."""
+    futures = controller.futures
+    if futures is None:
+        return {}
+    names = controller.problem.horizon.scenarios
+    return {
+        name: {"probability": float(share), "stands_for": int(many)}
+        for name, share, many in zip(names, futures.probability, futures.stands_for, strict=True)
     }
 
 

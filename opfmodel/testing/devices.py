@@ -14,6 +14,7 @@ from opfmodel import plugins
 from opfmodel.check import check
 from opfmodel.errors import PluginError
 from opfmodel.formulations.base import Formulation
+from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model, NumericStage
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.component import Component
@@ -23,6 +24,7 @@ from opfmodel.network.network import Network
 from opfmodel.network.units import UNITS
 from opfmodel.plan import MultiStage
 from opfmodel.simulation import simulate
+from opfmodel.testing.grids import HORIZONS
 from opfmodel.testing.options import check_documentation
 from opfmodel.testing.sampling import at_random
 from solvers import Kind, classify
@@ -56,7 +58,7 @@ def check_device(device: Device, example: Component) -> None:
     grid = _grid(example)
     _check_declarations(rules, device, grid)
     rng = np.random.default_rng(1)
-    for horizon in (1, 3):
+    for horizon in HORIZONS:
         problem = MultiStage(grid, horizon, formulation="dc", regularisation=0.0, devices=[device])
         with rules.rule("compiles with a linear network"):
             program = problem.compile()
@@ -74,7 +76,7 @@ def check_device(device: Device, example: Component) -> None:
                 same, "has the same cost numerically and in the program", f"{value:.12g}, {compiled:.12g}"
             )
         for one, other in pairwise(points):
-            _check_cost(rules, device, one.stage, other.stage, horizon)
+            _check_cost(rules, device, one.stage, other.stage, len(horizon))
     _check_loop(rules, device, grid)
 
 
@@ -131,27 +133,27 @@ def _check_declarations(rules: Contract, device: Device, grid: Network) -> None:
     empty.add("example", replace(grid["example"], in_service=False))  # type: ignore[type-var]
     seen: dict[bool, set[str]] = {}
     for formulation in _formulations():
-        for horizon in (1, 3):
+        for horizon in HORIZONS:
             model, injected = _declared(rules, device, grid, formulation, horizon)
             rules.require(injected, "injects power into the balance (model.inject)")
             names = {name for name, p in model.published.items() if p.kind == device.component.kind}
             same = names == seen.setdefault(formulation.reactive, names)
             found = f"{', '.join(sorted(names))} with {formulation.name}"
             rules.require(same, "declares the same quantities under every formulation", found)
-        _declared(rules, device, empty, formulation, 2)
+        _declared(rules, device, empty, formulation, Horizon.chain(2))
 
 
 def _declared(
-    rules: Contract, device: Device, grid: Network, formulation: Formulation, stages: int
+    rules: Contract, device: Device, grid: Network, formulation: Formulation, horizon: Horizon
 ) -> tuple[Model, list[Any]]:
     """Return the model of a device under a formulation, and the injections of the device."""
     arrays = per_unit(grid)
     zones = formulation.zones(arrays)
-    model = _Watching(arrays, stages, 1.0, reactive=formulation.reactive, zones=zones)
+    model = _Watching(arrays, horizon, reactive=formulation.reactive, zones=zones)
     formulation.declare(model)
     model.watched = []
     how = "without" if not len(arrays.tables[device.component.kind]) else "with"
-    with rules.rule(f"can be declared {how} components over {stages} stages under {formulation.name}"):
+    with rules.rule(f"can be declared {how} components over {horizon} under {formulation.name}"):
         model.connect(device)
         device.cost(model)
     return model, model.watched

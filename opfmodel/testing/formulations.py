@@ -7,6 +7,7 @@ import numpy as np
 from opfmodel.check import check
 from opfmodel.errors import ModelError
 from opfmodel.formulations.base import Formulation
+from opfmodel.horizon import Horizon
 from opfmodel.model import Model
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.components import Load
@@ -37,10 +38,10 @@ def check_formulation(formulation: Formulation) -> None:
     rules.require(isinstance(formulation, Formulation), "is a Formulation")
     check_documentation(rules, type(formulation))
     _check_statements(rules, formulation)
-    for horizon in (1, 3):
+    for horizon in (Horizon.chain(1), Horizon.chain(3)):
         _check_plan(rules, formulation, feeder(), horizon, "a feeder")
     for name, grid in EDGE_GRIDS.items():
-        _check_plan(rules, formulation, grid(), 2, f"a grid with {name}", series=False)
+        _check_plan(rules, formulation, grid(), Horizon.chain(2), f"a grid with {name}", series=False)
     _check_prices(rules, formulation)
     with rules.rule("solves a grid with a loop or rejects it with a ModelError"):
         try:
@@ -48,7 +49,7 @@ def check_formulation(formulation: Formulation) -> None:
         except ModelError as error:
             rules.require("'ring'" in str(error), "names the grid that it rejects", str(error))
             return
-    _check_plan(rules, formulation, ring(), 2, "a ring", series=False)
+    _check_plan(rules, formulation, ring(), Horizon.chain(2), "a ring", series=False)
 
 
 def _check_statements(rules: Contract, formulation: Formulation) -> None:
@@ -60,7 +61,7 @@ def _check_statements(rules: Contract, formulation: Formulation) -> None:
         arrays = per_unit(grid)
         with rules.rule("assigns every bus to a row of the balance"):
             zones = formulation.zones(arrays)
-            model = Model(arrays, 2, 1.0, reactive=formulation.reactive, zones=zones)
+            model = Model(arrays, Horizon.chain(2), reactive=formulation.reactive, zones=zones)
         rules.require(zones.shape == (len(arrays.bus),), "assigns every bus to a row of the balance")
         with rules.rule("can be declared on any grid"):
             formulation.declare(model)
@@ -77,7 +78,7 @@ def _solved(rules: Contract, problem: MultiStage, rule: str) -> Plan:
 
 
 def _check_plan(
-    rules: Contract, formulation: Formulation, grid: Network, horizon: int, what: str, series: bool = True
+    rules: Contract, formulation: Formulation, grid: Network, horizon: Horizon, what: str, series: bool = True
 ) -> None:
     """A grid is solved, and the independent check finds no violation."""
     profiles = demand() if series else {}

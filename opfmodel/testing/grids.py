@@ -7,13 +7,21 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.horizon import Horizon
 from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
-__all__ = ["EDGE_GRIDS", "demand", "feeder", "ring"]
+__all__ = ["EDGE_GRIDS", "HORIZONS", "demand", "feeder", "ring"]
 
 Array = npt.NDArray[np.float64]
+
+HORIZONS = (
+    Horizon.chain(1),
+    Horizon.chain(3),
+    Horizon.tree([1, 2], {"low": 0.4, "high": 0.6}, common=1),
+)
+"""Horizons on which every device and objective must work."""
 
 
 def feeder(name: str = "feeder") -> Network:

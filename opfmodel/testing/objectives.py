@@ -16,7 +16,7 @@ from opfmodel.model import NumericStage, Quantities
 from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.plan import MultiStage, Plan
-from opfmodel.testing.grids import demand, feeder
+from opfmodel.testing.grids import HORIZONS, demand, feeder
 from opfmodel.testing.options import check_options
 from opfmodel.testing.sampling import at_random
 from solvers.testing import Contract
@@ -56,7 +56,7 @@ def check_objective(
         network, profiles = feeder(), demand() if profiles is None else profiles
     formulation = _check_needs(rules, objective, network)
     rng = np.random.default_rng(1)
-    for horizon in (1, 3):
+    for horizon in HORIZONS:
         problem = MultiStage(
             network,
             horizon,
@@ -70,7 +70,7 @@ def check_objective(
         rules.require(plan.optimal, "compiles to a problem that can be solved", plan.termination)
         points = [at_random(plan, rng) for _ in range(4)]
         for point in points:
-            _check_values(rules, objective, point, horizon)
+            _check_values(rules, objective, point, len(horizon))
         for one, other in pairwise(points):
             _check_convex(rules, objective, one.stage, other.stage)
 

@@ -99,7 +99,7 @@ def _check_step(rules: Contract, step: Step, network: PerUnitNetwork, plan: Plan
             rules.require(right, "reports one value per component", f"{where}: shape {np.shape(values)}")
         known = not step.solved or not np.isnan(values).any()
         rules.require(known, "reports no NaN in solved steps", where)
-    wanted = plan.next_state() if plan.problem.generator_delay == 0 or plan.problem.horizon > 1 else {}
+    wanted = plan.next_state() if plan.problem.generator_delay == 0 or plan.problem.stages > 1 else {}
     for name, values in wanted.items():
         given = step.state.get(name)
         complete = given is not None and np.shape(given) == values.shape and np.isfinite(given).all()

@@ -94,6 +94,8 @@ def _find_losses(network: Network, losses: Losses) -> None:
                 f"{name}: regulates = {str(generator.regulates).lower()}: "
                 "the generators at one bus all hold its voltage, or none does"
             )
+        if generator.participation is not None:
+            losses.add(f"{name}: participation is left out")
 
 
 def _regulated(network: Network) -> dict[str, bool]:
@@ -120,9 +122,8 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
     rows = []
     for name, bus in network.of(Bus).items():
         kind = 4 if not bus.in_service else 3 if bus.reference else 2 if regulated[name] else 1
-        rows.append(
-            [ids[name], kind, *demand[name], 1, 1.0, 0.0, bus.base_kv or 0.0, 1, bus.vm[1], bus.vm[0]]
-        )
+        voltage = [1.0, bus.va_set, bus.base_kv or 0.0]
+        rows.append([ids[name], kind, *demand[name], 1, *voltage, 1, bus.vm[1], bus.vm[0]])
     return rows
 
 

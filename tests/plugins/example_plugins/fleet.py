@@ -50,12 +50,12 @@ class FleetDevice(Device):
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``charge`` and ``level``."""
         charge = model.variable("fleet", "charge", 0.0, "power", unit="MW", description="charging power")
-        level = model.stock(
+        level, level_next = model.stock(
             "fleet", "level", "energy_min", "energy", initial="initial",
             unit="MWh", description="energy of the vehicles",
         )  # fmt: skip
         gained = model.step * (charge - model.field("fleet", "driving"))
-        model.rows("fleet", "fleet_energy", level[:, 1:] - level[:, :-1] - gained, 0.0, 0.0)
+        model.rows("fleet", "fleet_energy", level_next - level - gained, 0.0, 0.0)
         model.inject(table.bus, p=-charge)
 
     def cost(self, stage: Stage) -> Any:

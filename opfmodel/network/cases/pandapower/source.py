@@ -169,9 +169,7 @@ def _check_tables(net: Any, where: str) -> None:
         for what, labels in (("column", frame.columns), ("index", frame.index)):
             if not labels.is_unique:
                 repeated = listed(map(str, labels[labels.duplicated()].unique()))
-                raise CaseError(
-                    f"{where}: {table}: the labels of each {what} must differ; repeated: {repeated}"
-                )
+                raise CaseError(f"{where}: {table}: repeated labels of {what}: {repeated}; must differ")
         for index in frame.index:
             if not (hasattr(index, "__index__") and 0 <= index <= _LARGEST_INDEX):
                 raise CaseError(

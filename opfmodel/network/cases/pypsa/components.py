@@ -55,9 +55,9 @@ class Converter:
             table = getattr(grid.c, class_name).static
             for member in source.members(class_name):
                 self._branch(class_name, member, table.loc[member])
-        controls = grid.c.generators.static.control
-        for member in source.members("generators"):
-            self._generator(member, controls.get(member, "PQ") in ("PV", "Slack"))
+        stated, found = (n.c.generators.static.control for n in (source.n, grid))
+        for member in source.members("generators"):  # of the inactive ones, PyPSA finds none
+            self._generator(member, found.get(member, stated.at[member]) in ("PV", "Slack"))
         for member in source.members("storage_units"):
             self._storage_unit(member)
         for member in source.members("stores"):

@@ -1,0 +1,206 @@
+"""The extensive form of a stochastic optimal power flow, stated in plain loops on CasADi alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+import opfmodel as om
+
+
+@dataclass
+class Node:
+    """A node of a tree: its parent, length, probability, and the demand by load in MW and MVAr."""
+
+    parent: int
+    hours: float
+    probability: float
+    demand: dict[str, tuple[float, float]]
+
+
+def solve(
+    grid: om.Network,
+    nodes: list[Node],
+    energy: dict[str, float],
+    formulation: str = "ac",
+    dispatch: dict[str, tuple[float, float]] | None = None,
+    delay: int = 0,
+    risk: tuple[float, float] | None = None,
+) -> dict[str, Any]:
+    """Solve for all nodes at once; return the objective and the cost of each node in $.
+
+    ``energy`` is what is stored at the beginning, in MWh. ``dispatch`` is the generation before the first
+    stage, in MW and MVAr; with a delay of 1, that of the first stage.
+    """
+    problem = _Problem(grid, nodes, formulation)
+    problem.state(energy, dispatch, delay)
+    costs = [problem.cost(k) for k in range(len(nodes))]
+    mean = sum(n.probability * n.hours * c for n, c in zip(nodes, costs, strict=True))
+    objective = mean
+    if risk is not None:
+        objective = problem.averse(costs, mean, *risk)
+    values = problem.solve(objective)
+    found = values(objective), [n.hours * values(c) for n, c in zip(nodes, costs, strict=True)]
+    lmp = {bus: [-float(m) for m in problem.multipliers(bus)] for bus in problem.buses}
+    return {"objective": found[0], "costs": found[1], "lmp": lmp, "values": values, "problem": problem}
+
+
+class _Problem:
+    def __init__(self, grid: om.Network, nodes: list[Node], formulation: str) -> None:
+        self.grid, self.nodes, self.formulation = grid, nodes, formulation
+        self.base = grid.base_mva
+        self.buses, self.branches = grid.of(om.Bus), grid.of(om.Branch)
+        self.units, self.cells, self.loads = grid.of(om.Generator), grid.of(om.Storage), grid.of(om.Load)
+        self.x: list[Any] = []
+        self.bounds: list[tuple[float, float, float]] = []
+        self.g: list[Any] = []
+        self.rows: list[tuple[float, float]] = []
+        self.balance: dict[tuple[str, int], int] = {}
+        self.stages = [self.stage(k) for k in range(len(nodes))]
+
+    def variable(self, low: float = -np.inf, high: float = np.inf, start: float = 0.0) -> Any:
+        symbol = ca.MX.sym(f"x{len(self.x)}")
+        self.x.append(symbol)
+        self.bounds.append((low, high, float(np.clip(start, low, high))))
+        return symbol
+
+    def row(self, body: Any, low: float = 0.0, high: float = 0.0) -> int:
+        self.g.append(body)
+        self.rows.append((low, high))
+        return len(self.g) - 1
+
+    def stage(self, k: int) -> dict[str, Any]:
+        """The variables and the network of one node, per unit."""
+        base, reactive = self.base, self.formulation in ("ac", "soc")
+        of: dict[str, Any] = {"pg": {}, "qg": {}, "ps": {}, "qs": {}, "e": {}, "loss": {}}
+        for name, unit in self.units.items():
+            of["pg"][name] = self.variable(unit.p[0] / base, unit.p[1] / base, 0.5 * unit.p[1] / base)
+            of["qg"][name] = self.variable(unit.q[0] / base, unit.q[1] / base) if reactive else 0.0
+        for name, cell in self.cells.items():
+            of["ps"][name] = self.variable(-cell.power / base, cell.power / base)
+            of["qs"][name] = self.variable(-cell.q / base, cell.q / base) if reactive else 0.0
+            of["e"][name] = self.variable(0.0, cell.energy / base, 0.5 * cell.energy / base)
+        p = dict.fromkeys(self.buses, 0.0)
+        q = dict.fromkeys(self.buses, 0.0)
+        for name, unit in self.units.items():
+            p[unit.bus] += of["pg"][name]
+            q[unit.bus] += of["qg"][name]
+        for name, cell in self.cells.items():
+            p[cell.bus] -= of["ps"][name]
+            q[cell.bus] -= of["qs"][name]
+        for name, load in self.loads.items():
+            demand = self.nodes[k].demand[name]
+            p[load.bus] -= demand[0] / base
+            q[load.bus] -= demand[1] / base
+        getattr(self, f"flows_{self.formulation}")(p, q)
+        for bus in self.buses:
+            self.balance[bus, k] = self.row(p[bus])
+            if reactive:
+                self.row(q[bus])
+        return of
+
+    def flows_ac(self, p: dict[str, Any], q: dict[str, Any]) -> None:
+        vm = {name: self.variable(*bus.vm, 1.0) for name, bus in self.buses.items()}
+        va = {n: self.variable(0.0, 0.0) if b.reference else self.variable() for n, b in self.buses.items()}
+        for branch in self.branches.values():
+            f, t = branch.from_bus, branch.to_bus
+            real, imaginary = (vm[f] * vm[t] * turn(va[f] - va[t]) for turn in (ca.cos, ca.sin))
+            self.branch(branch, p, q, vm[f] ** 2, vm[t] ** 2, real, imaginary)
+
+    def flows_soc(self, p: dict[str, Any], q: dict[str, Any]) -> None:
+        w = {n: self.variable(b.vm[0] ** 2, b.vm[1] ** 2, 1.0) for n, b in self.buses.items()}
+        for branch in self.branches.values():
+            f, t = branch.from_bus, branch.to_bus
+            real, imaginary = self.variable(start=1.0), self.variable()
+            self.row(real**2 + imaginary**2 - w[f] * w[t], -np.inf, 0.0)
+            self.branch(branch, p, q, w[f], w[t], real, imaginary)
+
+    def branch(self, branch: om.Branch, p: Any, q: Any, ff: Any, tt: Any, real: Any, imaginary: Any) -> None:
+        """Power into both ends of a line without taps, from the products of its voltages."""
+        y = 1.0 / complex(branch.r, branch.x)
+        half = 0.5 * branch.b
+        for bus, own, sign in ((branch.from_bus, ff, 1.0), (branch.to_bus, tt, -1.0)):
+            active = y.real * own - y.real * real - sign * y.imag * imaginary
+            drawn = -(y.imag + half) * own + y.imag * real - sign * y.real * imaginary
+            p[bus] -= active
+            q[bus] -= drawn
+            self.row(active**2 + drawn**2, -np.inf, (branch.rating / self.base) ** 2)
+
+    def flows_dc(self, p: dict[str, Any], _: Any) -> None:
+        va = {n: self.variable(0.0, 0.0) if b.reference else self.variable() for n, b in self.buses.items()}
+        for branch in self.branches.values():
+            f, t = branch.from_bus, branch.to_bus
+            flow = branch.x / (branch.r**2 + branch.x**2) * (va[f] - va[t])
+            self.row(flow, -branch.rating / self.base, branch.rating / self.base)
+            p[f] -= flow
+            p[t] += flow
+
+    def state(
+        self, energy: dict[str, float], dispatch: dict[str, tuple[float, float]] | None, delay: int
+    ) -> None:
+        """What couples the nodes: energy, ramps, and the dispatch that siblings share."""
+        shared: dict[int, int] = {}
+        for k, node in enumerate(self.nodes):
+            at, before = self.stages[k], None if node.parent < 0 else self.stages[node.parent]
+            for name in self.cells:
+                start = energy[name] / self.base if before is None else before["e"][name]
+                self.row(at["e"][name] - start - node.hours * at["ps"][name])
+            hours = node.hours if before is None else 0.5 * (node.hours + self.nodes[node.parent].hours)
+            for name, unit in self.units.items():
+                if before is not None:
+                    most = unit.ramp * hours / self.base
+                    self.row(at["pg"][name] - before["pg"][name], -most, most)
+                elif dispatch is not None and delay == 0:
+                    most = unit.ramp * hours / self.base
+                    self.row(at["pg"][name] - dispatch[name][0] / self.base, -most, most)
+                elif dispatch is not None:
+                    self.row(at["pg"][name] - dispatch[name][0] / self.base)
+                    if self.formulation != "dc":
+                        self.row(at["qg"][name] - dispatch[name][1] / self.base)
+                if delay == 1 and node.parent in shared:
+                    eldest = self.stages[shared[node.parent]]
+                    self.row(at["pg"][name] - eldest["pg"][name])
+                    if self.formulation != "dc":
+                        self.row(at["qg"][name] - eldest["qg"][name])
+            shared.setdefault(node.parent, k)
+
+    def cost(self, k: int) -> Any:
+        """Cost of a node, $/h."""
+        made = 0.0
+        for name, unit in self.units.items():
+            power = self.base * self.stages[k]["pg"][name]
+            made += unit.cost.c2 * power**2 + unit.cost.c1 * power + unit.cost.c0
+        return made
+
+    def averse(self, costs: list[Any], mean: Any, level: float, weight: float) -> Any:
+        """The mean and the conditional value at risk, with an excess for each leaf."""
+        threshold = self.variable(start=1.0)
+        tail = 0.0
+        parents = {node.parent for node in self.nodes}
+        for leaf in set(range(len(self.nodes))) - parents:
+            k, total = leaf, 0.0
+            while k >= 0:
+                total += self.nodes[k].hours * costs[k]
+                k = self.nodes[k].parent
+            excess = self.variable(0.0)
+            self.row(total - 1e3 * (threshold + excess), -np.inf, 0.0)
+            tail += self.nodes[leaf].probability * 1e3 * excess
+        return (1 - weight) * mean + weight * (1e3 * threshold + tail / (1 - level))
+
+    def solve(self, objective: Any) -> Any:
+        x, g = ca.vertcat(*self.x), ca.vertcat(*self.g)
+        options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10}}
+        solver = ca.nlpsol("extensive", "ipopt", {"x": x, "f": objective * 1e-2, "g": g}, options)
+        low, high, start = np.array(self.bounds).T
+        rows = np.array(self.rows)
+        found = solver(x0=start, lbx=low, ubx=high, lbg=rows[:, 0], ubg=rows[:, 1])
+        assert solver.stats()["success"], solver.stats()["return_status"]
+        self.lam = np.asarray(found["lam_g"]).ravel() * 1e2
+        return lambda quantity: float(ca.Function("read", [x], [quantity])(found["x"]))
+
+    def multipliers(self, bus: str) -> list[float]:
+        """The multiplier of the balance of a bus at each node, $/MW."""
+        return [-self.lam[self.balance[bus, k]] / self.base for k in range(len(self.nodes))]

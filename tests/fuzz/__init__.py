@@ -1,0 +1,1 @@
+"""Fuzzing: mutated inputs are accepted, or refused with an error of opfmodel."""
