@@ -258,8 +258,7 @@ def _explained(faults: Sequence[Mapping[str, Any]], key: Key, model: type[BaseMo
     return (
         (f"{shown(value)}: " if scalar else "")
         + message
-        + (f"; accepted keys are {keys}" if keys else "")
-        + hint
+        + (hint or (f"; accepted keys are {keys}" if keys else ""))
     )
 
 
