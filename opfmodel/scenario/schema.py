@@ -81,7 +81,9 @@ class NetworkSection(Section):
     model_config = ConfigDict(extra="allow")  # components by name, in sections named after their kind
 
     file: str | None = Field(
-        None, description="network file to start from: MATPOWER, PSS/E, pandapower, PyPSA and others"
+        None,
+        description="network file to start from: MATPOWER, PSS/E, pandapower, PyPSA and others, or "
+        "`simbench:CODE`",
     )
     name: str | None = Field(
         None, description="name of a network without a file; by default that of the scenario"
@@ -95,7 +97,9 @@ class NetworkSection(Section):
         None, description="cost of generators for which the file states none"
     )
     lossy: bool = Field(
-        False, description="whether to read a file of which something cannot be represented, with a warning"
+        False,
+        description="whether to accept that data of the file without counterpart are lost, with a warning "
+        "for each; by default they are an error",
     )
     update: Annotated[dict[str, dict[str, Any]] | None, Of("update")] = Field(
         None,
@@ -247,8 +251,7 @@ class PlantSection(BaseModel):
 
     mode: str = Field(
         "nominal",
-        description="plant that responds to the plans; its options are keys next to `mode`, and "
-        "`plant: redispatch` stands for `plant: {mode: redispatch}`",
+        description="name of the plant",
     )
 
     @model_validator(mode="before")
@@ -318,7 +321,9 @@ class ScenarioFile(Section):
         "perfect", description="what the controller expects of the series"
     )
     plant: Annotated[PlantSection, _BY_MODE, Of("plant")] = Field(
-        default_factory=PlantSection, description="plant that responds to the plans"
+        default_factory=PlantSection,
+        description="plant that responds to the plans, `nominal` by default; its options are keys next to "
+        "`mode`, and `plant: redispatch` stands for `plant: {mode: redispatch}`",
     )
     constraints: dict[str, ConstraintSection] = Field(
         default_factory=dict, description="linear constraints on plans, by name"
