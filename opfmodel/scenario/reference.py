@@ -169,15 +169,15 @@ def _bounds(item: Field[Any]) -> Schema:
 
 def _add_components(network: Schema, kinds: list[type[Component]]) -> None:
     """Give the schema of the network its sections of components, by name."""
+    may_be_empty = {"type": ["object", "null"]}  # a null has no members to check
     for kind in kinds:
-        members = {"type": "object", "additionalProperties": {"$ref": f"#/$defs/{kind.kind}"}}
         network["properties"][kind.plural] = {
             "description": f"{kind.plural} by name",
-            "anyOf": [members, {"type": "null"}],
+            **may_be_empty,
+            "additionalProperties": {"$ref": f"#/$defs/{kind.kind}"},
         }
     fields = [{"$ref": f"#/$defs/{kind.kind}", "x-partial": True} for kind in kinds]
-    changes = {"type": "object", "additionalProperties": {"anyOf": fields}}
-    network["properties"]["update"]["anyOf"] = [changes, {"type": "null"}]
+    network["properties"]["update"] |= {**may_be_empty, "additionalProperties": {"anyOf": fields}}
     network["additionalProperties"] = False
 
 
