@@ -46,6 +46,10 @@ from .plan import (
     Plan as Plan,
     Risk as Risk,
 )
+from .plan.power_flow import (
+    PowerFlowResult as PowerFlowResult,
+    power_flow as power_flow,
+)
 from .plan.single_stage import (
     SingleStageSequence as SingleStageSequence,
     single_stage_sequence as single_stage_sequence,

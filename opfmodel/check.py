@@ -421,15 +421,23 @@ class _Checker:
         self.note("ramp", ramped.names, change - ramped.number("ramp") * between, "MW")
 
     def check_storages(self) -> None:
-        """Check power, energy and apparent-power limits, and the energy balance of each storage."""
+        """Check power and apparent-power limits and, unless the data have no energy, that of each storage."""
         units = self.storages
-        ps, e, e_next = units.values("ps"), units.values("e"), units.values("e_next")
+        ps = units.values("ps")
         qs = units.values("qs") if self.reactive else np.zeros_like(ps)
         self.inside("storage power", units, ps, units.bounds("power"), "MW")
         self.inside("storage q", units, qs, units.bounds("q"), "MVAr")
+        self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
+        if self.has("e", "e_next") or not units.names:
+            self.check_energy(units, ps)
+        else:  # a power flow is the state of one moment
+            self.leave_out("stored energy: the results do not include it")
+
+    def check_energy(self, units: _Table, ps: Array) -> None:
+        """Check energy limits and the energy balance of each storage."""
+        e, e_next = units.values("e"), units.values("e_next")
         limits = units.number("energy_min"), units.number("energy")
         self.inside("storage energy", units, e_next, limits, "MWh")
-        self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
         gap = np.zeros_like(e)  # the last stage has no successor
         gap[:, :-1] = np.abs(e[:, 1:] - e_next[:, :-1])
         self.note("energy continuity", units.names, gap, "MWh")

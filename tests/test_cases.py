@@ -33,8 +33,9 @@ def test_a_written_case_is_read_back_unchanged(path: Path, tmp_path: Path) -> No
 def test_storage_survives_a_round_trip(tmp_path: Path) -> None:
     network = om.read_network(DATA / "matpower" / "case9.m")
     network.storage5 = om.Storage(
-        "5", energy=80, power=(-20, 15), q=(-5, 6), charge_efficiency=0.9, initial=10
-    )
+        "5", energy=80, power=(-20, 15), q=(-5, 6), charge_efficiency=0.9, initial=10,
+        ps_set=3, qs_set=-1,
+    )  # fmt: skip
     again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
     assert again.storage5.resolved() == network.storage5
 

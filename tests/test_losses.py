@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from pathlib import Path
 
@@ -100,6 +101,23 @@ def test_what_a_psse_case_would_lose_is_refused_or_accepted(kind: str, tmp_path:
     lost = [str(w.message) for w in caught if ": lost: " in str(w.message)]
     assert sum(what in message for message in lost) == 1, lost
     assert len(network.of(om.Bus)) == 4
+
+
+def test_without_pandapower_the_loading_of_its_lines_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """powerio reads the current of a line and not the share of it that may be used."""
+    pp = pytest.importorskip("pandapower")
+    net = pp.create_empty_network()
+    ends = [pp.create_bus(net, 110, min_vm_pu=0.9, max_vm_pu=1.1) for _ in range(2)]
+    pp.create_ext_grid(net, ends[0], controllable=True)
+    pp.create_load(net, ends[1], 10, 2)
+    pp.create_line_from_parameters(net, *ends, 10, 0.1, 0.3, 9, 0.5, max_loading_percent=60)
+    pp.create_poly_cost(net, 0, "ext_grid", cp1_eur_per_mw=30)
+    pp.to_json(net, str(tmp_path / "grid.json"))
+    monkeypatch.setitem(sys.modules, "pandapower", None)
+    with pytest.raises(CaseError, match=r"max_loading_percent"):
+        om.read_network(tmp_path / "grid.json")
 
 
 def test_all_losses_are_in_one_error(tmp_path: Path) -> None:

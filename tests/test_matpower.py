@@ -361,8 +361,10 @@ def expected(case: dict) -> dict:
     for b in case["mpc.bus"]:
         number = f"{b[0]:.15g}"
         add(
-            number, om.Bus(vm=(b[12], b[11]), base_kv=b[9] or None, reference=b[1] == 3, in_service=b[1] != 4)
-        )
+            number,
+            om.Bus(vm=(b[12], b[11]), base_kv=b[9] or None, reference=b[1] == 3,
+                   va_set=b[8] if b[1] == 3 else 0.0, in_service=b[1] != 4),
+        )  # fmt: skip
         if b[2] or b[3]:
             add(f"load{number}", om.Load(number, p=b[2], q=b[3], in_service=b[1] != 4))
         if b[4] or b[5]:

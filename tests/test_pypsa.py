@@ -471,6 +471,24 @@ def test_invalid_values_of_series_are_errors_with_their_step() -> None:
         om.from_pypsa(n)
 
 
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("loads-p_set.csv", r"loads c: 2025-03-29 00:00:00: 'much': must be a number"),
+        ("generators.csv", r"cannot be read as a PyPSA network: .*much"),
+        ("snapshots.csv", r"snapshot_weightings \w+: .*'much': must be a number"),
+    ],
+)
+def test_texts_in_place_of_numbers_are_errors(files: tuple[Path, Path], file: str, message: str) -> None:
+    path = files[1] / file
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    column = rows[0].index("p_nom") if file == "generators.csv" else -1
+    rows[1][column] = "much"
+    path.write_text("\n".join(",".join(row) for row in rows))
+    with pytest.raises(CaseError, match=message):
+        om.read_network(files[1])
+
+
 def test_something_else_is_no_network() -> None:
     with pytest.raises(CaseError, match=r"dict: must be a pypsa.Network"):
         om.from_pypsa({})

@@ -10,8 +10,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, run, schema, solve, study
-from opfmodel.cli.output import print_json, print_line, remark, show_warning
+from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
+from opfmodel.cli.output import WarningPrinter, print_json, print_line, remark
 from opfmodel.errors import OpfmodelError
 
 __all__ = ["app", "main"]
@@ -24,6 +24,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command("solve")(solve.solve)
+app.command("powerflow")(powerflow.powerflow)
 app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)
@@ -77,7 +78,7 @@ def main() -> NoReturn:
     as_json = "--json" in sys.argv[1:]
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
-    warnings.showwarning = show_warning
+    warnings.showwarning = WarningPrinter()
     try:
         code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from opfmodel.cli.options import FILE, JSON
-from opfmodel.cli.output import print_json, print_line, show_warning
+from opfmodel.cli.output import WarningPrinter, print_json, print_line
 from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario
 from opfmodel.errors import CaseError, CaseWarning, OpfmodelError
 
@@ -29,7 +29,9 @@ _LOST = ": lost: "  # as the warnings of opfmodel.network.cases.losses have it
 
 def convert(
     file: FILE,
-    to: Annotated[Path, typer.Argument(help="File to write: MATPOWER .m or scenario .yaml.")],
+    to: Annotated[
+        Path, typer.Argument(help="File to write: MATPOWER .m, scenario .yaml or pandapower .json.")
+    ],
     default_cost: DEFAULT_COST = None,
     lossy: LOSSY = False,
     json_: JSON = False,
@@ -43,32 +45,46 @@ def convert(
         raise OpfmodelError(f"{to}: is the file to convert; choose another name")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaseWarning)
-        write(_network(file, default_cost, lossy), to, lossy=lossy)
+        written = [str(path) for path in write(_network(file, default_cost, lossy), to, lossy=lossy)]
     messages = [str(one.message) for one in caught if issubclass(one.category, CaseWarning)]
     losses = [message for message in messages if _LOST in message]
+    show_warning = WarningPrinter()
     for message in messages:
         show_warning(message, CaseWarning)
     if json_:
         others = [message for message in messages if _LOST not in message]
-        print_json({"status": "done", "written": [str(to)], "warnings": others, "losses": losses})
+        print_json({"status": "done", "written": written, "warnings": others, "losses": losses})
     else:
-        print_line(f"{to}: written" + (f"; {len(losses)} losses" if losses else ""))
+        print_line(f"{', '.join(written)}: written" + (f"; {len(losses)} losses" if losses else ""))
     return 0
 
 
-def _writer(to: Path) -> Callable[..., Path]:
+def _writer(to: Path) -> Callable[..., Sequence[Path]]:
     suffix = to.suffix.lower()
     if suffix == ".m":
-        from opfmodel.network.cases import write_network
-
-        return write_network
+        return _write_matpower
     if suffix in (".yaml", ".yml"):
         from opfmodel.scenario.write import write_scenario
 
         return write_scenario
+    if suffix == ".json":
+        return _write_pandapower
+    accepted = ".m, .yaml and .json (pandapower)"
     raise OpfmodelError(
-        f"{to}: no format is written under {suffix or 'this name'!r}; accepted are .m and .yaml"
+        f"{to}: no format is written under {suffix or 'this name'!r}; accepted are {accepted}"
     )
+
+
+def _write_pandapower(network: Network, to: Path, *, lossy: bool) -> Sequence[Path]:
+    from opfmodel.network.cases.pandapower.write import write_pandapower
+
+    return [write_pandapower(network, to, lossy=lossy)]
+
+
+def _write_matpower(network: Network, to: Path, *, lossy: bool) -> Sequence[Path]:
+    from opfmodel.network.cases import write_network
+
+    return [write_network(network, to, lossy=lossy)]
 
 
 def _network(file: Path, default_cost: float | None, lossy: bool) -> Network:
@@ -104,7 +120,8 @@ def init(
         text = template()
     else:
         network, price = _priced(from_, lossy)
-        file = os.path.relpath(from_.resolve(), path.resolve().parent)
+        # what is no file has a name, as the grids of SimBench
+        file = os.path.relpath(from_.resolve(), path.resolve().parent) if from_.exists() else str(from_)
         text = template(network, file, lossy=lossy, price=price)
     try:
         replace({path: text.encode()})

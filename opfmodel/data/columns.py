@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.rows import Row, open_rows, where
-from opfmodel.data.stamps import calendar_of, in_utc, is_stamp, looks_like_date
+from opfmodel.data.stamps import calendar_of, in_utc, is_local, is_stamp, looks_like_date
 from opfmodel.errors import ProfileError
 
 __all__ = ["Columns", "read_columns", "separator_hint"]
@@ -74,13 +74,16 @@ class Columns:
         try:
             return calendar_of(in_utc(self.times, zone or "UTC", place), zone or "UTC", place, step)
         except ProfileError as error:
-            hint = "" if zone else " (a time without an offset is in UTC unless a zone is stated)"
+            stated = zone or not is_local(self.times[0])
+            hint = "" if stated else " (a time without an offset is in UTC unless a zone is stated)"
             raise ProfileError(f"{error}{hint}") from None
 
     def rows(self, chosen: npt.NDArray[np.intp]) -> Columns:
-        """Return a selection of rows, without their times."""
+        """Return a selection of rows."""
         lines = np.asarray(self.lines)[chosen].tolist()
-        return Columns(self.path, {key: values[chosen] for key, values in self.values.items()}, lines)
+        times = [self.times[row] for row in chosen] if self.clock is not None else ()
+        values = {key: series[chosen] for key, series in self.values.items()}
+        return Columns(self.path, values, lines, self.clock, times)
 
 
 def read_columns(

@@ -85,9 +85,8 @@ class Profiles(Mapping[SeriesKey, Array]):
     def __init__(
         self, series: Mapping[Any, npt.ArrayLike] | None = None, calendar: Calendar | None = None
     ) -> None:
-        given, self.calendar = without_index(
-            {SeriesKey.of(key): values for key, values in (series or {}).items()}, calendar
-        )
+        stated = {} if series is None else series
+        given, self.calendar = without_index({SeriesKey.of(key): v for key, v in stated.items()}, calendar)
         self.repeats = False
         self._series = {key: _vector(key, values) for key, values in given.items()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ from opfmodel.data.calendar import (
 )
 from opfmodel.errors import ProfileError, shown
 
-__all__ = ["calendar_of", "in_utc", "is_stamp", "looks_like_date"]
+__all__ = ["calendar_of", "in_utc", "is_local", "is_stamp", "looks_like_date"]
 
 Stamps = npt.NDArray[np.datetime64]
 
@@ -47,11 +47,18 @@ def looks_like_date(cell: object) -> bool:
     return is_stamp(cell) or (isinstance(cell, str) and bool(_DATE.fullmatch(cell)))
 
 
+def is_local(cell: object) -> bool:
+    """Whether a cell is a time without an offset from UTC."""
+    time = _parsed(cell)
+    return time is not None and time.tzinfo is None
+
+
 def in_utc(cells: Sequence[Any] | Stamps, zone: str, place: Callable[[int], str]) -> Stamps:
     """Return the times of rows in UTC.
 
-    A time without an offset is in the zone. Where clocks are put back, it exists twice: it is the earlier
-    one unless that does not follow the row before. The first row must be unambiguous.
+    A time without an offset is in the zone. Where clocks are put back, it exists twice: it is the one at
+    the distance of the two rows before, or else the earlier one that follows them. The first row must be
+    unambiguous.
 
     Parameters
     ----------
@@ -73,6 +80,7 @@ def in_utc(cells: Sequence[Any] | Stamps, zone: str, place: Callable[[int], str]
         cells = cells.astype("datetime64[us]").tolist()
     made = np.empty(len(cells), dtype="datetime64[ns]")
     before: datetime | None = None
+    step = timedelta(0)
     offset: bool | None = None
     for row, cell in enumerate(cells):
         time = _parsed(cell)
@@ -86,13 +94,17 @@ def in_utc(cells: Sequence[Any] | Stamps, zone: str, place: Callable[[int], str]
         if offset != (time.tzinfo is not None):
             have = ("has no", "has an")[time.tzinfo is not None]
             raise ProfileError(f"{place(row)}{cell}: {have} offset from UTC, unlike the rows before")
-        before = _following(time, zone, before, partial(place, row))
-        made[row] = np.datetime64(before.replace(tzinfo=None), "ns")
+        utc = _following(time, zone, before, step, partial(place, row))
+        step = step if before is None else utc - before
+        before = utc
+        made[row] = np.datetime64(utc.replace(tzinfo=None), "ns")
     return made
 
 
-def _following(time: datetime, zone: str, before: datetime | None, place: Callable[[], str]) -> datetime:
-    """Return a time in UTC: of two possible ones, the earlier that follows the row before."""
+def _following(
+    time: datetime, zone: str, before: datetime | None, step: timedelta, place: Callable[[], str]
+) -> datetime:
+    """Return a time in UTC; of two possible ones, that one step after the row before, or else the earlier."""
     possible = instants(time, zone)
     if len(possible) == 1:
         return possible[0]
@@ -102,7 +114,8 @@ def _following(time: datetime, zone: str, before: datetime | None, place: Callab
         except ProfileError as error:
             raise ProfileError(f"{place()}{error}") from None
     assert before is not None
-    return next((each for each in possible if each > before), possible[-1])
+    after = [each for each in possible if each > before]
+    return next((each for each in after if each == before + step), (after or possible[-1:])[0])
 
 
 def _parsed(cell: object) -> datetime | None:
@@ -141,13 +154,22 @@ def calendar_of(
             raise ProfileError(f"{place(0)}a single time does not tell the length of the steps; state it")
         return Calendar(stamps[0], step, zone)
     differences = np.diff(stamps).astype(np.int64)
-    lengths, counts = np.unique(differences[differences > 0], return_counts=True)
-    usual = int(lengths[np.argmax(counts)]) if lengths.size else 0
+    usual = _usual(differences[differences > 0])
     wrong = np.flatnonzero(differences != usual)
     if wrong.size or not usual:
         row = int(wrong[0]) + 1 if wrong.size else 1
         raise ProfileError(f"{place(row)}{_fault(stamps[row - 1], stamps[row], usual, zone)}")
     return Calendar(stamps[0], usual / NANOSECONDS, zone)
+
+
+def _usual(differences: npt.NDArray[np.int64]) -> int:
+    """Return the most frequent difference, 0 without any; of equals, that with most multiples."""
+    if not differences.size:
+        return 0
+    lengths, first, counts = np.unique(differences, return_index=True, return_counts=True)
+    equals = np.flatnonzero(counts == counts.max())[:100]
+    multiples = [int((differences % lengths[each] == 0).sum()) for each in equals]
+    return int(lengths[equals[np.lexsort((first[equals], np.negative(multiples)))[0]]])
 
 
 def _fault(before: np.datetime64, after: np.datetime64, usual: int, zone: str) -> str:

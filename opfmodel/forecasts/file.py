@@ -5,29 +5,37 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from opfmodel.data.columns import read_columns
+from opfmodel.data.calendar import Calendar
+from opfmodel.data.columns import Columns, read_columns
+from opfmodel.data.grid import at_calendar
+from opfmodel.data.resampling import Resample, check_method
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.forecasts.base import Array, Forecast, part
 
 __all__ = ["File"]
 
+Issue = tuple[dict[SeriesKey, Array], int]  # series, and the position of the step of issue in them
+
 _ISSUED = "issued"
 
 
 class File(Forecast):
-    """Forecasts from a CSV file, with columns headed ``component.field``.
+    """Forecasts from a file, with columns headed ``component.field``.
 
-    Each row is one step. An optional column ``issued`` holds the step at which a row was issued; the
-    rows of one issue cover the steps from that one on, and the latest issue applies. Without it, all
-    rows were issued at step 0. Lines that begin with ``#`` are comments. Series that are not in the
-    file are known.
+    Each row is one step. Formats and times of the rows are those of the profile rule ``table``. An optional
+    column ``issued`` holds the number of the step at which a row was issued; the rows of one issue cover the
+    steps from that one on, and the latest issue applies. Without it, all rows were issued at step 0. Lines
+    of a CSV file that begin with ``#`` are comments. Series that are not in the file are known.
 
     Parameters
     ----------
     file
         Path of the file.
+    time_column, resample
+        As for the profile rule ``table``; rows that were issued at several steps are not resampled.
 
     Raises
     ------
@@ -35,9 +43,18 @@ class File(Forecast):
         The file cannot be read, or a value is not a number; the message gives line and column.
     """
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file: Path, time_column: str | None = None, resample: Resample | None = None) -> None:
         self.file = Path(file)
-        self._issues = _read(self.file)
+        self.resample = resample
+        check_method(resample)
+        self._columns = read_columns(self.file, optional=(_ISSUED,), time_column=time_column)
+        if not self._columns.lines:
+            raise ProfileError(f"{self.file}: has no rows of numbers; one per step is needed")
+        self._issued = _ISSUED in self._columns.values
+        if self._issued and resample is not None:
+            raise ProfileError(f"{self.file}: resample: not for forecasts with a column {_ISSUED!r}")
+        self._rows = _rows(self._columns)
+        self._known: tuple[Calendar | None, dict[int, Issue]] | None = None
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Return the latest forecast of the steps from ``time`` on.
@@ -45,43 +62,66 @@ class File(Forecast):
         Raises
         ------
         ProfileError
-            No forecast was issued by then, the latest is too short, or a column names no series.
+            No forecast was issued by then, the latest is too short, a column names no series, or the
+            times of the rows do not fit those of the series.
         """
-        issued = max((step for step in self._issues if step <= time), default=None)
+        issues = self._issues(actual.calendar)
+        issued = max((step for step in issues if step <= time), default=None)
         if issued is None:
             raise ProfileError(
-                f"{self.file}: no forecast issued by step {time}; the first is at step {min(self._issues)}"
+                f"{self.file}: no forecast issued by step {time}; the first is at step {min(issues)}"
             )
-        series = self._issues[issued]
-        rows, needed = len(next(iter(series.values()))), time - issued + stages
-        if rows < needed:
+        series, lead = issues[issued]
+        rows, first = len(next(iter(series.values()))), lead + time - issued
+        if rows < first + stages and not (actual.repeats and not self._issued):
             raise ProfileError(
-                f"{self.file}: the forecast issued at step {issued} has {rows} rows; "
-                f"steps {time} to {time + stages - 1} need {needed}"
+                f"{self.file}: the forecast issued at step {issued} has {rows - lead} rows; "
+                f"steps {time} to {time + stages - 1} need {first + stages - lead}"
             )
         known = part(actual, time, stages)
         for key in series:
             if key not in known:
                 near = nearest(str(key), map(str, known))
                 raise ProfileError(f"{self.file}: column '{key}': the profiles have no such series; {near}")
-        return Profiles(
-            {**known, **{key: values[time - issued :][:stages] for key, values in series.items()}}
-        )
+        ahead = np.arange(first, first + stages) % rows
+        return Profiles({**known, **{key: values[ahead] for key, values in series.items()}})
+
+    def _issues(self, calendar: Calendar | None) -> dict[int, Issue]:
+        """Return the forecasts by the step at which they were issued, at the steps of a calendar."""
+        if self._known is None or self._known[0] != calendar:
+            self._known = (
+                calendar,
+                {step: self._issue(step, rows, calendar) for step, rows in self._rows.items()},
+            )
+        return self._known[1]
+
+    def _issue(self, step: int, rows: npt.NDArray[np.intp], calendar: Calendar | None) -> Issue:
+        columns = self._columns.rows(rows)
+        lead = 0
+        if columns.clock is not None:
+            if calendar is None:
+                raise ProfileError(
+                    f"{self.file}: its rows have times, but the time series have none; state time.start"
+                )
+            begin = calendar.later(step)
+            columns, lead = at_calendar(columns, begin, self.resample)
+            if self._issued and lead:
+                raise ProfileError(
+                    f"{columns.place(_ISSUED, 0)}the rows issued at step {step} must begin at "
+                    f"{begin.shown(0)}"
+                )
+        elif self.resample is not None:
+            raise ProfileError(f"{self.file}: resample needs a column of times; state time_column")
+        values = {SeriesKey.of(key): v for key, v in columns.values.items() if key != _ISSUED}
+        return values, lead
 
 
-def _read(path: Path) -> dict[int, dict[SeriesKey, Array]]:
-    """Read the series, by the step at which they were issued."""
-    columns = read_columns(path, optional=(_ISSUED,))
-    series = dict(columns.values)
-    if not columns.lines:
-        raise ProfileError(f"{path}: has no rows of numbers; one per step is needed")
-    steps = series.pop(_ISSUED, np.zeros(len(columns.lines)))
+def _rows(columns: Columns) -> dict[int, npt.NDArray[np.intp]]:
+    """Return the positions of the rows by the step at which they were issued."""
+    steps = columns.values.get(_ISSUED, np.zeros(len(columns.lines)))
     parts = np.flatnonzero(steps != np.floor(steps))
     if parts.size:
         raise ProfileError(f"{columns.place(_ISSUED, parts[0])}{steps[parts[0]]:g} is not a step")
     order = np.argsort(steps, kind="stable")
     issues, begins = np.unique(steps[order], return_index=True)
-    split = {SeriesKey.of(heading): np.split(v[order], begins[1:]) for heading, v in series.items()}
-    return {
-        int(step): {key: parts[number] for key, parts in split.items()} for number, step in enumerate(issues)
-    }
+    return {int(step): rows for step, rows in zip(issues, np.split(order, begins[1:]), strict=True)}

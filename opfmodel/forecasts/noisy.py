@@ -50,7 +50,7 @@ class Noisy(Forecast):
         seed: int,
         correlation: float = 0.9,
         fields: tuple[str, ...] = FORECAST_FIELDS,
-        common_share: float = 0.0,
+        common_share: float = 0,
     ) -> None:
         self.deviation = number_within("noisy: deviation", deviation, at_least=0, error=ProfileError)
         self.correlation = number_within(

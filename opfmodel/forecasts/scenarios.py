@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import HorizonError
 from opfmodel.forecasts.base import Forecast
@@ -160,10 +161,14 @@ class Scenarios:
         common = int(horizon.step[branching].min(initial=horizon.steps))
         if self.draw is not None:
             return _drawn(self.draw, forecast, issued, time, common)
+        times = actual.calendar
+        grid = Grid(time + horizon.steps, horizon.base)
+        if times is not None:
+            grid = replace(grid, start=times.start, zone=times.zone)
         known = {key: np.concatenate([actual[key][:time], values]) for key, values in issued.items()}
         series = []
         for case in self.cases.values():
-            book = Workbook(network, time + horizon.steps, horizon.base, self.folder, dict(known))
+            book = Workbook(network, replace(grid), self.folder, dict(known))
             for rule in case.rules:
                 rule.apply(book)
             changed = Profiles({key: book.series[key][time:] for key in issued})

@@ -39,6 +39,9 @@ class Bus(Component):
         description="Nominal voltage; only used in network files.",
     )
     reference: bool = flag(False, "Whether this is the reference bus of its island, with angle zero.")
+    va_set: float = number(
+        "deg", 0.0, series=False, description="Angle of the reference bus in a power flow."
+    )
     in_service: bool = in_service()
 
 
@@ -146,6 +149,15 @@ class Generator(Component):
     )
     regulates: bool = flag(
         True, "Whether the generator holds vm_set in a power flow; otherwise it injects qg_set."
+    )
+    participation: float | None = number(
+        "",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Weight in the distributed slack of a power flow, relative to the other generators of "
+        "its island; none for p_max if it regulates, else 0.",
     )
     in_service: bool = in_service()
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.columns import Columns
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import SeriesKey
 from opfmodel.errors import ProfileError, nearest
 from opfmodel.network.components import Load
@@ -27,10 +28,8 @@ class Workbook:
     ----------
     network
         The declared network.
-    steps
-        Number of values of every series.
-    step
-        Hours between two values.
+    grid
+        The steps that the series cover.
     folder
         Folder to which file names are relative.
     series
@@ -40,11 +39,20 @@ class Workbook:
     """
 
     network: Network
-    steps: int
-    step: float
+    grid: Grid
     folder: Path
     series: dict[SeriesKey, Array] = field(default_factory=dict)
     sources: dict[SeriesKey, Columns] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> int:
+        """Number of values of every series."""
+        return self.grid.steps
+
+    @property
+    def step(self) -> float:
+        """Hours between two values."""
+        return self.grid.hours
 
     def get(self, component: str, key: str) -> Array:
         """Return the current series of a field; constant if no rule has changed it."""
@@ -53,7 +61,7 @@ class Workbook:
         name = SeriesKey(component, key)
         if name not in self.series:
             return np.full(self.steps, self.network[component].constant(key))
-        return self.series[name]
+        return self.series[name][: self.steps]
 
     def set(self, component: str, key: str, values: Array) -> None:
         """Replace the series of a field."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from opfmodel.data.columns import read_columns
+from opfmodel.data.grid import Grid
 from opfmodel.errors import (
     ConstraintError,
     IncompatibleError,
@@ -19,13 +19,19 @@ from opfmodel.model import CustomConstraint, Linear, PhysicalStage
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
 from opfmodel.scenario.document import Document
+from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ColumnSection, ConstraintSection, ScenarioFile
 
 __all__ = ["check_constraints", "read_constraints"]
 
 
-def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, CustomConstraint]:
+def read_constraints(document: Document, settings: ScenarioFile, grid: Grid) -> dict[str, CustomConstraint]:
     """Return the constraints of a file, by name.
+
+    Parameters
+    ----------
+    grid
+        The steps that limits cover.
 
     Raises
     ------
@@ -35,17 +41,17 @@ def read_constraints(document: Document, settings: ScenarioFile) -> dict[str, Cu
     made = {}
     for name, values in settings.constraints.items():
         with document.located("constraints", name):
-            made[name] = _constraint(name, values, settings.length, document.path.parent)
+            made[name] = _constraint(name, values, grid, document.path.parent)
     return made
 
 
-def _constraint(name: str, section: ConstraintSection, steps: int, folder: Path) -> CustomConstraint:
+def _constraint(name: str, section: ConstraintSection, grid: Grid, folder: Path) -> CustomConstraint:
     """Build a linear constraint.
 
     Parameters
     ----------
-    steps
-        Number of values required of a time-varying limit.
+    grid
+        The steps that a limit covers.
     folder
         Folder to which file names are relative.
 
@@ -55,7 +61,7 @@ def _constraint(name: str, section: ConstraintSection, steps: int, folder: Path)
         The constraint is malformed; the error carries the key.
     """
     stated = {"at_least": section.at_least, "at_most": section.at_most, "equal": section.equal}
-    limits = {key: _limit(value, key, steps, folder) for key, value in stated.items() if value is not None}
+    limits = {key: _limit(value, key, grid, folder) for key, value in stated.items() if value is not None}
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
@@ -66,19 +72,24 @@ def _constraint(name: str, section: ConstraintSection, steps: int, folder: Path)
 
 
 def _limit(
-    value: float | list[float] | ColumnSection, key: str, steps: int, folder: Path
+    value: float | list[float] | ColumnSection, key: str, grid: Grid, folder: Path
 ) -> float | list[float]:
     if isinstance(value, ColumnSection):
         path, heading = folder / value.file, str(value.column)
+        options = value.model_dump(include=set(FILE_OPTIONS), exclude_none=True)
         try:
-            return [float(number) for number in read_columns(path, steps, [heading]).values[heading]]
+            fitted = read_fitted(path, grid, [heading], **options)
+            return [float(number) for number in fitted.values[heading]]
         except ProfileError as error:
             raise ConstraintError(str(error), key) from error
     if not isinstance(value, list):
         return value
-    if len(value) < steps:
-        raise ConstraintError(f"has {len(value)} values; {steps} are needed (steps + horizon - 1)", key)
-    return value[:steps]
+    steps, numbers = grid.steps, value
+    if grid.at_end == "repeat":
+        numbers = repeated(numbers, steps)
+    if len(numbers) < steps:
+        raise ConstraintError(f"has {len(numbers)} values; {steps} are needed (steps + horizon - 1)", key)
+    return numbers[:steps]
 
 
 def check_constraints(

@@ -35,7 +35,7 @@ from opfmodel.scenario.parts import (
 )
 from opfmodel.scenario.scenario import Scenario
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.scenario.timing import settled
+from opfmodel.scenario.timing import completed, settled
 from opfmodel.simulation import check_response
 from solvers import Kind, find
 
@@ -77,15 +77,16 @@ def load_scenario(
         network = declarations.network(name)
         declarations.check(network)
     cost = make_objective(document, ("cost",), settings.cost, settings.basis)
-    settings, calendar = settled(document, settings, network)
-    profiles = make_profiles(document, settings, network, calendar)
+    settings, grid = settled(document, settings, network)
+    profiles = make_profiles(document, settings, network, grid)
+    settings = completed(document, settings, grid)
     forecast = make_forecast(document, settings)
-    constraints = read_constraints(document, settings)
+    constraints = read_constraints(document, settings, grid)
 
     def single_stages() -> Setpoints:
-        return scenario.single_stages(settings.length).setpoints()
+        return scenario.single_stages(grid.steps).setpoints()
 
-    objective = planned_objective(document, settings, network, cost, single_stages)
+    objective = planned_objective(document, settings, network, cost, grid, single_stages)
     scenarios = make_scenarios(document, settings)
     horizon = make_horizon(document, settings, scenarios)
     problem = _problem(document, settings, network, profiles, objective, horizon)
@@ -102,7 +103,7 @@ def load_scenario(
     with document.located("forecast"):
         check_response(forecast, plant)
     title = name if variant is None else f"{name}:{variant}"
-    scenario = Scenario(title, document, problem, cost, forecast, scenarios, settings)
+    scenario = Scenario(title, document, problem, cost, forecast, scenarios, settings, grid)
     return scenario
 
 
@@ -140,6 +141,7 @@ def _problem(
             profiles=profiles,
             generator_delay=controller.generator_delay,
             end=End(**controller.end.model_dump()),
+            at_end="shrink" if settings.time.at_end == "shrink" else "error",  # what repeats is complete
             regularisation=controller.regularisation,
             risk=averse,
             solver=solver.name,

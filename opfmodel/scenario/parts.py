@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel import plugins
-from opfmodel.data.calendar import Calendar
-from opfmodel.data.columns import read_columns
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError
 from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
@@ -25,6 +24,7 @@ from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
 from opfmodel.profiles.base import Workbook
 from opfmodel.scenario.document import Document, check_printable
+from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
@@ -39,19 +39,20 @@ __all__ = [
 ]
 
 
-def make_profiles(
-    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
-) -> Profiles:
+def make_profiles(document: Document, settings: ScenarioFile, network: Network, grid: Grid) -> Profiles:
     """Build the time series by applying the profile rules of the file to those attached to the network.
 
     Parameters
     ----------
-    calendar
-        Time stamps of the steps; None if the steps are only numbered.
+    grid
+        The steps that they cover; the first series with time stamps completes it.
     """
     _check_size(document, settings, network)
-    book = Workbook(network, settings.length, settings.time.step, document.path.parent)
-    book.series |= _attached(document, settings, network, calendar)
+    book = Workbook(network, grid, document.path.parent)
+    try:
+        book.series |= grid.take(network.profiles)
+    except ProfileError as error:
+        raise document.error(("time", "steps"), f"time series of the network: {error}") from error
     basis = settings.basis._replace(base_mva=network.base_mva)
     for number, spec in enumerate(settings.profiles):
         key = ("profiles", number)
@@ -62,25 +63,10 @@ def make_profiles(
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
             check_finite(Profiles(changed), network)
     with document.located("profiles"), _sourced(book):
-        made = Profiles(book.series, calendar)
+        made = Profiles({key: values[: grid.steps] for key, values in book.series.items()}, grid.calendar)
+        made.repeats = grid.at_end == "repeat"
         check_series(made, network)
         return made
-
-
-def _attached(
-    document: Document, settings: ScenarioFile, network: Network, calendar: Calendar | None
-) -> Profiles:
-    """Return the time series attached to the network, from the first step on."""
-    with document.located("time"):
-        series = Profiles({}, calendar).or_else(network.profiles)
-    if series.length is not None and series.length < settings.length:
-        raise document.error(
-            ("time", "steps"),
-            f"{settings.time.steps:,}: with a horizon of {settings.controller.horizon}, time series of "
-            f"{settings.length:,} values are needed; those of the network have {series.length:,} from the "
-            "first step on",
-        )
-    return series.steps(slice(0, settings.length))
 
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
@@ -201,12 +187,15 @@ def planned_objective(
     settings: ScenarioFile,
     network: Network,
     cost: Objective,
+    grid: Grid,
     single_stages: Callable[[], Setpoints],
 ) -> Objective:
     """Return the objective that plans minimise: that of the controller, or the cost.
 
     Parameters
     ----------
+    grid
+        The steps of the time series.
     single_stages
         Returns the single-stage optima; called only when they are used.
     """
@@ -215,7 +204,7 @@ def planned_objective(
         return cost
 
     def setpoints(value: Any) -> Setpoints:
-        return _setpoints(value, document, settings.length, network, single_stages)
+        return _setpoints(value, document, grid, network, single_stages)
 
     return make_objective(
         document, ("controller", "objective"), stated, settings.basis, {Setpoints: setpoints}
@@ -223,14 +212,14 @@ def planned_objective(
 
 
 def _setpoints(
-    value: Any, document: Document, steps: int, network: Network, single_stages: Callable[[], Setpoints]
+    value: Any, document: Document, grid: Grid, network: Network, single_stages: Callable[[], Setpoints]
 ) -> Setpoints:
     """Convert set-points from a scenario file.
 
     Parameters
     ----------
-    steps
-        Number of values required of a CSV file.
+    grid
+        The steps that a file or a list of values covers.
     single_stages
         Solves for the single-stage optima; called only when they are used.
     """
@@ -240,8 +229,10 @@ def _setpoints(
         raise ModelError(
             f"set-points {value!r}: must be 'single-stage', {{file: PATH}} or {{component.quantity: values}}"
         )
-    if set(value) == {"file"}:
-        value = read_columns(document.path.parent / str(value["file"]), steps).values
+    if "file" in value and set(value) <= {"file", *FILE_OPTIONS}:
+        value = read_fitted(document.path.parent / str(value["file"]), grid, **value).values
+    elif grid.at_end == "repeat":
+        value = {key: repeated(values, grid.steps) for key, values in value.items()}
     given = Setpoints(value)
     given.arrays(per_unit(network))  # so that errors are located in the file
     return given

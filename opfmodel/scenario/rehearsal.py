@@ -29,7 +29,12 @@ def rehearse(scenario: Scenario) -> None:
     """
     document, settings = scenario.document, scenario.settings
     objective = planned_objective(
-        document, settings, scenario.network, scenario.cost, lambda: _stand_in(scenario.problem.arrays)
+        document,
+        settings,
+        scenario.network,
+        scenario.cost,
+        scenario.grid,
+        lambda: _stand_in(scenario.problem.arrays),
     )
     problem = scenario.problem.variant(elastic=None, objective=objective)
     with document.located("time", "steps"):

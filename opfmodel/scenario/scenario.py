@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.forecasts import Forecast, Scenarios
 from opfmodel.model import Elastic
@@ -43,6 +44,8 @@ class Scenario:
         The futures that the controller plans for; None for the forecast alone.
     settings
         Validated content of the file.
+    grid
+        The steps that the time series cover.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Scenario:
     forecast: Forecast
     scenarios: Scenarios | None
     settings: ScenarioFile
+    grid: Grid
     _sequences: dict[int, SingleStageSequence] = field(default_factory=dict)
 
     @property

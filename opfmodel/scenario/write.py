@@ -1,7 +1,9 @@
-"""Writing of a network as a scenario file, from which it is read back exactly."""
+"""Writing of a network and its time series as a scenario, from which they are read back exactly."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import re
@@ -10,6 +12,9 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from opfmodel.data.series import Profiles
 from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
 from opfmodel.network.bounds import bounded
@@ -24,29 +29,50 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_.\-]*")
 _WORDS = {"true", "false", "null"}
 
 
-def write_scenario(network: Network, path: str | Path, *, lossy: bool = False) -> Path:
-    """Write the ``network`` section of a scenario file; fields at their defaults are left out.
+def write_scenario(network: Network, path: str | Path, *, lossy: bool = False) -> tuple[Path, ...]:
+    """Write a network as a scenario file; fields at their defaults are left out.
 
-    Reading the file gives equal components and the same power base.
+    Reading the file gives equal components, the same power base, and the time series attached to the
+    network, which are written to a CSV file of the same name beside it.
 
     Parameters
     ----------
     lossy
-        Whether what the file cannot hold is left out with a warning instead of refused: attached time
-        series, and components out of service with numbers that a scenario file does not accept.
+        Whether what the files cannot hold is left out with a warning instead of refused: components out of
+        service with numbers that a scenario file does not accept, and steps beyond the shortest series.
+
+    Returns
+    -------
+    tuple of Path
+        The scenario file, and that of the time series if there are any.
 
     Raises
     ------
     CaseError
-        The file cannot be written, its name does not end in ``.yaml`` or ``.yml``, or something would be
+        A file cannot be written, the name does not end in ``.yaml`` or ``.yml``, or something would be
         lost and ``lossy`` is false.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise CaseError(f"{path}: the name of a scenario file must end in .yaml or .yml")
     losses = Losses(str(path), writing=True)
+    lines = _network(network, losses)
+    contents = {}
     if network.profiles:
-        losses.add(f"{len(network.profiles)} time series: {listed(map(str, network.profiles))}")
+        table = path.with_suffix(".csv")
+        lines += _time(network.profiles, table, losses)
+        contents[table] = _table(network.profiles).encode()
+    losses.settle(lossy)
+    contents[path] = ("\n".join(lines) + "\n").encode()
+    try:
+        replace(contents)
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        raise CaseError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
+    return tuple(reversed(contents))
+
+
+def _network(network: Network, losses: Losses) -> list[str]:
+    """Lines of the section ``network``."""
     lines = ["network:", f"  name: {scalar(network.name)}", f"  base_mva: {scalar(network.base_mva)}"]
     for kind in network.kinds():
         lines.append(f"  {kind.plural}:")
@@ -56,12 +82,35 @@ def write_scenario(network: Network, path: str | Path, *, lossy: bool = False) -
                 losses.add(f"{name}: {', '.join(odd)}: not a finite number; the component is left out")
                 continue
             lines.append(f"    {scalar(name)}: {_fields(component)}")
-    losses.settle(lossy)
-    try:
-        replace({path: ("\n".join(lines) + "\n").encode()})
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise CaseError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
-    return path
+    return lines
+
+
+def _time(profiles: Profiles, table: Path, losses: Losses) -> list[str]:
+    """Lines of the sections ``time`` and ``profiles``."""
+    steps = profiles.length or 0
+    longer = [str(key) for key, values in profiles.items() if len(values) > steps]
+    if longer:
+        losses.add(f"steps after {steps} of the series {listed(longer)}")
+    time: dict[str, Any] = {"steps": steps}
+    if profiles.calendar is not None:
+        start = str(np.datetime_as_string(profiles.calendar.start, unit="auto"))
+        clock = "" if "T" in start else "T00:00"
+        time |= {
+            "start": f"{start}{clock}+00:00",
+            "zone": profiles.calendar.zone,
+            "step": profiles.calendar.step,
+        }
+    return ["", f"time: {_mapping(time)}", "", "profiles:", f"  - table: {{file: {scalar(table.name)}}}"]
+
+
+def _table(profiles: Profiles) -> str:
+    """Text of a CSV file of the series."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([str(key) for key in profiles])
+    columns = [values.tolist() for values in profiles.values()]
+    writer.writerows([repr(value) for value in row] for row in zip(*columns, strict=False))
+    return text.getvalue()
 
 
 def scalar(value: Any) -> str:

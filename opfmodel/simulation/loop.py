@@ -150,6 +150,19 @@ def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any
         "iterations": sum(counted) if counted else None,
         "attempts": [asdict(attempt) for attempt in attempts],
         "plan_objective": plan.objective,
+        "scenarios": _scenarios(controller),
+    }
+
+
+def _scenarios(controller: Controller) -> dict[str, dict[str, Any]]:
+    """Probability of each scenario of the last plan, and the number of paths for which it stands."""
+    futures = controller.futures
+    if futures is None:
+        return {}
+    names = controller.problem.horizon.scenarios
+    return {
+        name: {"probability": float(share), "stands_for": int(many)}
+        for name, share, many in zip(names, futures.probability, futures.stands_for, strict=True)
     }
 
 

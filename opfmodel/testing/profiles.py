@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
 from opfmodel.errors import OpfmodelError
 from opfmodel.network.network import Network
@@ -41,7 +42,7 @@ def check_profile(rule: ProfileRule, network: Network | None = None, folder: Pat
     network = feeder() if network is None else network
     folder = Path() if folder is None else folder
     for steps in (1, 3, 24):
-        book, again = (Workbook(network, steps, 1.0, folder) for _ in range(2))
+        book, again = (Workbook(network, Grid(steps), folder) for _ in range(2))
         before = dict(network._components)
         with rules.rule("applies to a network with the components it names"):
             rule.apply(book)
@@ -84,7 +85,7 @@ def _check_missing(rules: Contract, rule: ProfileRule, network: Network, folder:
         fields = {key: getattr(component, key) for key in component.fields()}
         fields |= {key: f"other-{fields[key]}" for key in component.bus_fields()}
         other.add(f"other-{name}", type(component)(**fields))
-    book = Workbook(other, 3, 1.0, folder)
+    book = Workbook(other, Grid(3), folder)
     with rules.rule("raises an OpfmodelError for unknown components"):
         try:
             rule.apply(book)

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from opfmodel.devices.held import WIDE, HeldGenerators, HeldStorages, divide, without_limits
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
-from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Generator, Load, Storage
 from opfmodel.plan import MultiStage, Plan
@@ -19,7 +20,6 @@ from opfmodel.simulation.records import DESCRIBED
 __all__ = ["PowerFlow"]
 
 _SHARE = ("load", "unserved")
-_WIDE = 1e3  # p.u.; replaces an infinite range
 _LEAST_VM, _MOST_VM = 0.2, 2.0  # p.u.; wider than any operating range, but bounds Newton steps
 
 
@@ -60,14 +60,14 @@ class PowerFlow(ACPlant):
         """
         table = network.generator
         if self.participation is None:
-            factors = np.clip(table.p_max[:, 0], 0.0, _WIDE)
+            factors = np.clip(table.p_max[:, 0], 0.0, WIDE)
         else:
             for name in self.participation:
                 if name not in table.position:
                     known = nearest(name, table.names)
                     raise ModelError(f"participation: no generator in service is named {name!r}; {known}")
             factors = np.array([float(self.participation.get(name, 0.0)) for name in table.names])
-        return _divide(factors, network.island[table.bus])
+        return divide(factors, network.island[table.bus])
 
     def check(self, network: PerUnitNetwork) -> None:
         """Raise :class:`ModelError` if the factors do not fit a network."""
@@ -77,8 +77,8 @@ class PowerFlow(ACPlant):
         """Return a problem whose devices hold set-points and whose network has no limits."""
         problem = plan.problem
         own: dict[type, Device] = {
-            Generator: _HeldGenerators(self.shares(problem.arrays)),
-            Storage: _HeldStorages(),
+            Generator: HeldGenerators(self.shares(problem.arrays)),
+            Storage: HeldStorages(),
             Load: _HeldLoads(),
         }
         devices = [own.get(device.component, device) for device in problem.devices]
@@ -103,41 +103,6 @@ class PowerFlow(ACPlant):
         return self.solve(plan.time, None, window)
 
 
-class _HeldGenerators(Device):
-    """Generators at their set-points, with a distributed slack in every island."""
-
-    component = Generator
-
-    def __init__(self, shares: Array) -> None:
-        self.shares = shares
-
-    def declare(self, model: Model, table: Table) -> None:
-        """Publish ``pg`` and ``qg`` as functions of a slack per island and one per bus with generators."""
-        network = model.network
-        slack = model.build.variable("slack", network.n_islands, model.stages)
-        pg = model.parameter("generator", "pg_set") + self.shares * slack[network.island[table.bus]]
-        at, which = np.unique(table.bus, return_inverse=True)
-        extra = model.build.variable("slack_q", at.size, model.stages)
-        shares = _divide(np.minimum(table.q_max - table.q_min, _WIDE)[:, 0], which)
-        qg = model.parameter("generator", "qg_set") + shares * extra[which]
-        model.publish("generator", "pg", pg, unit="MW", description="active generation")
-        model.publish("generator", "qg", qg, unit="MVAr", description="reactive generation")
-        model.inject(table.bus, p=pg, q=qg)
-
-
-class _HeldStorages(Device):
-    """Storages at their set-points."""
-
-    component = Storage
-
-    def declare(self, model: Model, table: Table) -> None:
-        """Publish ``ps`` and ``qs`` as planned."""
-        ps, qs = model.parameter("storage", "ps_set"), model.parameter("storage", "qs_set")
-        model.publish("storage", "ps", ps, unit="MW", description="charging power")
-        model.publish("storage", "qs", qs, unit="MVAr", description="reactive power drawn")
-        model.inject(table.bus, p=-ps, q=-qs)
-
-
 class _HeldLoads(Device):
     """Loads, less the share that the plan sheds."""
 
@@ -153,20 +118,11 @@ class _HeldLoads(Device):
             model.inject(table.bus, **{name: served})
 
 
-def _divide(weights: Array, group: Index) -> Array:
-    """Return weights normalised within each group, equal ones if their sum is zero."""
-    sums = np.bincount(group, weights)[group]
-    equal = 1.0 / np.bincount(group)[group]
-    return np.asarray(np.where(sums > 0, weights / np.where(sums > 0, sums, 1.0), equal))
-
-
 def _without_limits(network: PerUnitNetwork) -> Values:
     """Return the fields that remove the limits of the network."""
-    none = np.full((len(network.branch), 1), np.inf)
+    buses = (len(network.bus), 1)
     return {
-        ("branch", "rating"): none,
-        ("branch", "angle_min"): -none,
-        ("branch", "angle_max"): none,
-        ("bus", "vm_min"): np.full((len(network.bus), 1), _LEAST_VM),
-        ("bus", "vm_max"): np.full((len(network.bus), 1), _MOST_VM),
+        **without_limits(network),
+        ("bus", "vm_min"): np.full(buses, _LEAST_VM),
+        ("bus", "vm_max"): np.full(buses, _MOST_VM),
     }

@@ -87,6 +87,7 @@ class Reader:
                     vm=(record["vmin"], record["vmax"]),
                     base_kv=record["base_kv"] or None,
                     reference=record["kind"] == "REF",
+                    va_set=record["va"] if record["kind"] == "REF" else 0.0,
                     in_service=record["kind"] != "ISOLATED",
                 ),
                 "bus",

@@ -27,7 +27,7 @@ _HARMLESS_CODES = (
     "NOTES_TRUNCATED",
     "GEOMETRY",
 )
-_NAMES_ONLY = ("PSS/E ZONE section", "PSS/E OWNER section")
+_NAMES_ONLY = ("PSS/E ZONE section", "PSS/E OWNER section", "`carriers.csv` ignored", "`shapes.csv` ignored")
 
 
 def harmless(diagnostic: Any) -> bool:
@@ -81,7 +81,9 @@ _EXTRAS = _words(
     "psse_pl psse_ql psse_ip psse_iq psse_yp psse_yq psse_pdgen psse_qdgen psse_flagstatus psse_intrpt "
     "psse_scal psse_loadtype psse_zr psse_zx psse_rt psse_xt psse_gtap psse_lat psse_long psse_baslod "
     "pslf_circuit pslf_section_id ucte_element_name ucte_geographical_name ucte_order_code "
-    "ucte_power_plant_type ucte_short_circuit_power ucte_xr_ratio ieee_cdf_circuit cgmes_class"
+    "ucte_power_plant_type ucte_short_circuit_power ucte_xr_ratio ieee_cdf_circuit cgmes_class "
+    # of pandapower, whose files without pandapower are checked before
+    "max_loading_percent tap_min tap_max vector_group std_type"
 )
 _TOPOLOGY = _words(
     "component_metadata subnetworks substations voltage_levels bus_breaker_buses calculated_buses "
@@ -171,6 +173,10 @@ def _correction(table: Mapping[str, Any], _: Mapping[str, Any]) -> str:
     return f"impedance correction table {table.get('table')}, not applied"
 
 
+def _loading(percent: Any, _: Mapping[str, Any]) -> str:
+    return "" if percent == 100 else f"max_loading_percent = {percent}, taken as 100"
+
+
 def _switched(control: Mapping[str, Any], _: Mapping[str, Any]) -> str:
     moving = control.get("mode") not in ("locked", "fixed")
     return "shunts that are switched, held where they are" if moving else ""
@@ -189,6 +195,7 @@ _RULES: Mapping[tuple[str, str], _Rule] = {
     ("loads", "voltage_model"): _zip,
     ("branches", "control"): _tap,
     ("branches", "extras.impedance_correction"): _correction,
+    ("branches", "extras.max_loading_percent"): _loading,
     ("shunts", "control"): _switched,
     ("generators", "regulated_bus"): _regulated,
     ("generators", "regulating_terminal"): _terminal,

@@ -9,6 +9,7 @@ import numpy as np
 from opfmodel.data.calendar import Calendar
 from opfmodel.errors import CaseError
 from opfmodel.network.cases.losses import Losses
+from opfmodel.network.cases.pypsa.source import check_numbers
 
 __all__ = ["steps_of"]
 
@@ -43,11 +44,12 @@ def steps_of(n: Any, source: str, losses: Losses) -> tuple[float, Calendar | Non
         hours = float(gaps[0] / np.timedelta64(1, "h"))
         calendar = Calendar(stamps[0], hours)
     for column, weights in n.snapshot_weightings.items():
+        check_numbers(weights, f"{source}: snapshot_weightings {column}")
         wrong = ~(np.abs(weights.to_numpy(dtype=float) - hours) <= _WEIGH * hours)
         if wrong.any():
             where = int(np.argmax(wrong))
             losses.add(
-                f"snapshot_weightings {column}: {weights.iloc[where]:g} h at {snapshots[where]}: "
+                f"snapshot_weightings {column}: {float(weights.iloc[where]):g} h at {snapshots[where]}: "
                 f"{_spacing(snapshots, hours, calendar)}, and every snapshot counts {hours:g} h; "
                 f"set n.snapshot_weightings.loc[:] = {hours:g} if this is meant"
             )

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import CaseError
+from opfmodel.errors import CaseError, shown
 
-__all__ = ["PREFIXES", "UNNAMED", "Array", "Source", "Value"]
+__all__ = ["PREFIXES", "UNNAMED", "Array", "Source", "Value", "check_numbers"]
 
 Array = npt.NDArray[np.float64]
 Value = float | Array
@@ -29,6 +29,17 @@ PREFIXES = {
 """Classes that are read besides buses, and the prefix of a name that components of several classes have."""
 UNNAMED = "Unnamed Network"
 """PyPSA's name of a network without one."""
+
+
+def check_numbers(column: Any, place: str) -> None:
+    """Raise :class:`CaseError` unless a pandas Series consists of numbers; NaN is one."""
+    if column.dtype.kind in "fiub":
+        return
+    for label, value in column.items():
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            raise CaseError(f"{place}: {label}: {shown(value)}: must be a number") from None
 
 
 class Source:
@@ -57,6 +68,7 @@ class Source:
             if not index.is_unique:
                 repeated = str(index[index.duplicated()][0])
                 raise CaseError(f"{title}: {class_name}: the name {repeated!r} is used twice")
+            self._check_numbers(getattr(n.c, class_name))
         carriers = self.static("buses").carrier
         self.buses = [bus for bus in carriers.index if carriers.at[bus] == "AC"]
         self._members = {name: list(self._at_buses(name)) for name in PREFIXES}
@@ -128,6 +140,17 @@ class Source:
         """Return the upward and downward ramp limits of a generator, per unit and snapshot; NaN for none."""
         up, down = (self.value("generators", name, f"ramp_limit_{way}") for way in ("up", "down"))
         return up, down
+
+    def _check_numbers(self, components: Any) -> None:
+        """Raise :class:`CaseError` for a text where PyPSA has a number; it accepts any, in time series."""
+        defaults = components.defaults
+        for attribute in defaults.index[defaults.typ.isin([float])]:
+            for table in (components.static, components.dynamic.get(attribute)):
+                if table is None or (table is components.static and attribute not in table):
+                    continue
+                columns = {attribute: table[attribute]} if table is components.static else table
+                for name, column in columns.items():
+                    check_numbers(column, f"{self.title}: {components.list_name} {name}")
 
     def _at_buses(self, class_name: str) -> Iterator[Any]:
         table, represented = self.static(class_name), set(self.buses)

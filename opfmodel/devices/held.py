@@ -1,0 +1,80 @@
+"""Devices that hold their set-points, for power flows: unlike dispatched ones, they decide nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.model import Device, Model
+from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
+from opfmodel.network.components import Generator, Storage
+
+__all__ = ["WIDE", "HeldGenerators", "HeldStorages", "divide", "without_limits"]
+
+WIDE = 1e3  # p.u.; replaces an infinite range
+
+
+class HeldGenerators(Device):
+    r"""Generators at their set-points, with a slack per island and one of reactive power per bus.
+
+    .. math::
+        p^g_i = \hat p^g_i + \gamma_i s, \quad q^g_i = \hat q^g_i + \rho_i s^q
+
+    The generators of a bus that regulate its voltage share :math:`s^q` in proportion to their ranges.
+
+    Parameters
+    ----------
+    shares
+        Share :math:`\gamma` of each generator in the slack of its island, ``(generators,)`` or
+        ``(generators, 1)``.
+    regulates
+        Mask of the generators that regulate; by default all of them.
+    """
+
+    component = Generator
+
+    def __init__(self, shares: Array, regulates: npt.NDArray[np.bool_] | None = None) -> None:
+        self.shares = shares
+        self.regulates = regulates
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Publish ``pg`` and ``qg`` as functions of the slacks ``slack`` and ``slack_q``."""
+        network = model.network
+        slack = model.build.variable("slack", network.n_islands, model.stages)
+        pg = model.parameter("generator", "pg_set") + self.shares * slack[network.island[table.bus]]
+        regulates = np.ones(len(table), dtype=bool) if self.regulates is None else self.regulates
+        at, which = np.unique(table.bus[regulates], return_inverse=True)
+        extra = model.build.variable("slack_q", at.size, model.stages)
+        ranges = np.clip(table.q_max[regulates] - table.q_min[regulates], 0.0, WIDE)[:, 0]
+        shares, owner = np.zeros(len(table)), np.zeros(len(table), dtype=np.intp)
+        shares[regulates], owner[regulates] = divide(ranges, which), which
+        qg = model.parameter("generator", "qg_set") + shares * extra[owner]
+        model.publish("generator", "pg", pg, unit="MW", description="active generation")
+        model.publish("generator", "qg", qg, unit="MVAr", description="reactive generation")
+        model.inject(table.bus, p=pg, q=qg)
+
+
+class HeldStorages(Device):
+    """Storages at their set-points."""
+
+    component = Storage
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Publish ``ps`` and ``qs`` as set."""
+        ps, qs = model.parameter("storage", "ps_set"), model.parameter("storage", "qs_set")
+        model.publish("storage", "ps", ps, unit="MW", description="charging power")
+        model.publish("storage", "qs", qs, unit="MVAr", description="reactive power drawn")
+        model.inject(table.bus, p=-ps, q=-qs)
+
+
+def divide(weights: Array, group: Index) -> Array:
+    """Return weights normalised within each group, equal ones if their sum is zero."""
+    sums = np.bincount(group, weights)[group]
+    equal = 1.0 / np.bincount(group)[group]
+    return np.asarray(np.where(sums > 0, weights / np.where(sums > 0, sums, 1.0), equal))
+
+
+def without_limits(network: PerUnitNetwork) -> dict[tuple[str, str], Array]:
+    """Return the fields, by kind and name, that remove the limits of the branches."""
+    none = np.full((len(network.branch), 1), np.inf)
+    return {("branch", "rating"): none, ("branch", "angle_min"): -none, ("branch", "angle_max"): none}
