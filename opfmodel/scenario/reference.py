@@ -55,22 +55,28 @@ def scenario_schema(origins: Collection[str] | None = None) -> Schema:
     return {"$schema": DIALECT, "title": "opfmodel scenario", **root, "$defs": dict(sorted(made.items()))}
 
 
-def section_keys(schema: Schema, keys: Mapping[str, Schema], prefix: str = "") -> dict[str, Schema]:
+def section_keys(
+    schema: Schema, keys: Mapping[str, Schema], prefix: str = "", named: bool = False
+) -> dict[str, Schema]:
     """Return the schemas of dotted keys, such as ``controller.end.price``, of a mapping and its sections.
 
     Parameters
     ----------
     schema
         The schema with the definitions to which others refer.
+    named
+        Whether to include the keys of sections that the user names, as ``constraints.NAME.terms``.
     """
     found: dict[str, Schema] = {}
     for key, value in keys.items():
         found[prefix + key] = value
-        for part in [value, *value.get("anyOf", ())]:
+        parts = [(f"{prefix}{key}.", part) for part in (value, *value.get("anyOf", ()))]
+        if named and isinstance(value.get("additionalProperties"), dict):
+            parts.append((f"{prefix}{key}.NAME.", value["additionalProperties"]))
+        for inside, part in parts:
             name = part.get("$ref", "").rpartition("/")[2]
             if name.endswith("Section"):
-                inside = schema["$defs"][name]["properties"]
-                found |= section_keys(schema, inside, f"{prefix}{key}.")
+                found |= section_keys(schema, schema["$defs"][name]["properties"], inside, named)
     return found
 
 
