@@ -97,7 +97,7 @@ def test_a_table_may_lift_limits(tmp_path: Path) -> None:
         ("profiles: [{shape: {file: t.csv, column: c}}]", ":8:13: profiles.0.shape: .*t.csv: line 3, column 'c': 'inf' is not a finite"),
         ("constraints: {c: {terms: {g.pg: 1}, at_most: {file: t.csv, column: c}}}", ":8:37: .*t.csv: line 3, column 'c': 'inf' is not a finite"),
         ("constraints: {c: {terms: {g.pg: .inf}, at_most: 1}}", ":8:27: .*finite number"),
-        ("constraints: {c: {terms: {g.pg: 1}, at_most: [1, .inf, 1]}}", ":8:37: .*finite number"),
+        ("constraints: {c: {terms: {g.pg: 1}, at_most: [1, .inf, 1]}}", ":8:50: .*finite number"),
         ("forecast: {file: {file: f.csv}}\nplant: {mode: redispatch}", ":8:12: .*f.csv: line 3, column 'l.p': 'inf' is not a finite"),
         ("forecast: {noisy: {deviation: .inf, seed: 1}}\nplant: {mode: redispatch}", ":8:20: forecast.noisy.deviation: .*finite"),
         ("controller: {objective: {setpoint-tracking: {setpoints: {file: f.csv}}}}", ":8:26: .*f.csv: line 3, column 'l.p': 'inf' is not a finite"),

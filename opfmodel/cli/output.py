@@ -10,20 +10,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
 
-from opfmodel.errors import CaseWarning, ProfileWarning, ResultWarning, visible
+from opfmodel.errors import CaseWarning, Fault, ProfileWarning, ResultWarning, visible
 
 __all__ = [
+    "WarningPrinter",
+    "print_faults",
     "print_json",
     "print_line",
     "print_notes",
     "print_pairs",
     "print_table",
     "remark",
-    "show_warning",
     "solver_output",
 ]
 
 _UNLIMITED = 100_000  # columns
+_MOST_WARNINGS = 100
+_MOST_FAULTS = 20
 
 
 def print_line(line: str) -> None:
@@ -36,16 +39,36 @@ def remark(line: str) -> None:
     print(visible(line), file=sys.stderr)  # noqa: T201
 
 
+def print_faults(faults: Sequence[Fault]) -> None:
+    """Print what is wrong, each on a line, with an excerpt of the file below; no more than a screen holds."""
+    for fault in faults[:_MOST_FAULTS]:
+        remark(f"error: {fault}")
+        for line in fault.excerpt.splitlines():
+            remark(line)
+    if len(faults) > _MOST_FAULTS:
+        remark(f"error: and {len(faults) - _MOST_FAULTS} more")
+
+
 def print_notes(notes: Sequence[str]) -> None:
     """Print notes on what was left out of a network or chosen for it."""
     for note in notes:
         remark(f"note: {note}")
 
 
-def show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Print a warning of opfmodel; those of libraries address developers and are dropped."""
-    if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
-        remark(f"warning: {message}")
+class WarningPrinter:
+    """Prints the first warnings of opfmodel; those of libraries address developers and are dropped."""
+
+    def __init__(self) -> None:
+        self.left = _MOST_WARNINGS
+
+    def __call__(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        """Print a warning; the parameters are those of :func:`warnings.showwarning`."""
+        if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
+            if self.left > 0:
+                remark(f"warning: {message}")
+            elif self.left == 0:
+                remark("warning: further warnings are not shown")
+            self.left -= 1
 
 
 def print_json(result: Mapping[str, Any]) -> None:
