@@ -1,5 +1,6 @@
 # make run    install; run the economic NMPC of the 5-bus system; save trajectories and a figure
 # make test   install the test dependencies; run the tests except the slow ones
+# make fuzz   run mutated inputs for SECONDS (300); write the counts to docs/inputs.md
 # make check  check style, types and layers
 # make table  run the closed loops of the paper's four systems; write docs/paper-table.md
 # make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
@@ -7,8 +8,9 @@
 # make pglib  solve every available PGLib case; write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
+SECONDS ?= 300
 
-.PHONY: run test test-slow check table bench generated pglib clean
+.PHONY: run test test-slow check table bench generated pglib clean fuzz
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -18,6 +20,9 @@ test: .venv/.test
 
 test-slow: .venv/.slow
 	$(BIN)/python -m pytest -q -m slow
+
+fuzz: .venv/.test
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --docs docs/inputs.md
 
 check: .venv/.check
 	$(BIN)/ruff check .

@@ -5,12 +5,16 @@ from __future__ import annotations
 import difflib
 import unicodedata
 from collections.abc import Iterable
+from dataclasses import dataclass, field
+from heapq import nsmallest
+from itertools import islice
 
 __all__ = [
     "CaseError",
     "CaseWarning",
     "ComponentError",
     "ConstraintError",
+    "Fault",
     "IncompatibleError",
     "ModelError",
     "NetworkError",
@@ -34,16 +38,93 @@ __all__ = [
 # control and format characters, lone surrogates, line and paragraph separators
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _LONGEST = 200
+MOST_FAULTS = 100  # reported at once: naming the nearest name for each takes time
+_MOST_COMPARED = 200  # comparing ten thousand names letter by letter takes a second
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong in the user's input, and where it is.
+
+    Attributes
+    ----------
+    message
+        What is wrong, and what is accepted.
+    file
+        Name of the file, or the option of the command line; None if unknown.
+    line, column
+        Position in the file, from 1; None if unknown.
+    key
+        Path of keys to the invalid entry.
+    excerpt
+        The line of the file, and a line with a caret below the column; empty if unknown.
+    cause
+        The error that was raised where the position was not known.
+
+    Examples
+    --------
+    >>> print(Fault("0: must be at least 1", "case.yaml", 3, 5, ("controller", "horizon")))
+    case.yaml:3:5: controller.horizon: 0: must be at least 1
+    """
+
+    message: str
+    file: str | None = None
+    line: int | None = None
+    column: int | None = None
+    key: tuple[str | int, ...] = ()
+    excerpt: str = field(default="", compare=False, repr=False)
+    cause: Exception | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def dotted_key(self) -> str:
+        """The key as text."""
+        return ".".join(map(str, self.key))
+
+    @property
+    def statement(self) -> str:
+        """The key and what is wrong, without the position."""
+        return f"{self.dotted_key}: {self.message}" if self.key else self.message
+
+    def as_dict(self) -> dict[str, str | int | None]:
+        """Return position, key and message as plain values."""
+        return {
+            "file": self.file,
+            "line": self.line,
+            "column": self.column,
+            "key": self.dotted_key or None,
+            "message": self.message,
+        }
+
+    def __str__(self) -> str:
+        """Return file, line, column, key and message on one line."""
+        where = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
+        return visible(f"{where}: {self.statement}" if where else self.statement)
 
 
 class OpfmodelError(Exception):
     """Base class of errors in the user's input; the command line exits with status 2.
 
-    The message is a single line, whatever names and paths it quotes.
+    The message is a single line, whatever names and paths it quotes; that of several faults has one
+    line for each.
+
+    Attributes
+    ----------
+    key
+        Path of keys to the invalid entry, inside the value that was read.
+    others
+        Errors that were found together with this one; see :func:`raise_all`.
     """
+
+    key: tuple[str | int, ...] = ()
+    others: tuple[OpfmodelError, ...] = ()
 
     def __init__(self, message: str = "") -> None:
         super().__init__(visible(message))
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong, in order of position; a single fault without a position for most errors."""
+        return (Fault(str(self)),)
 
 
 class ComponentError(OpfmodelError):
@@ -97,19 +178,13 @@ class ProfileWarning(UserWarning):
 class ModelError(OpfmodelError):
     """An option of a formulation, objective, device, plant or horizon is invalid."""
 
-
-class HorizonError(ModelError):
-    """The nodes of a horizon do not fit together: lengths, probabilities, common part.
-
-    Attributes
-    ----------
-    key
-        Path of keys to the invalid entry, in a scenario file below the horizon or its scenarios.
-    """
-
     def __init__(self, message: str, *key: str | int) -> None:
         super().__init__(message)
         self.key = key
+
+
+class HorizonError(ModelError):
+    """The nodes of a horizon do not fit together: lengths, probabilities, common part."""
 
 
 class IncompatibleError(ModelError):
@@ -135,17 +210,7 @@ class QuantityError(ModelError):
 
 
 class ConstraintError(ModelError):
-    """A constraint in a scenario file is malformed or refers to an unknown name.
-
-    Attributes
-    ----------
-    key
-        Path of keys, below the constraint's name, to the invalid entry.
-    """
-
-    def __init__(self, message: str, *key: str) -> None:
-        super().__init__(message)
-        self.key = key
+    """A constraint in a scenario file is malformed or refers to an unknown name."""
 
 
 class PluginError(OpfmodelError):
@@ -154,9 +219,7 @@ class PluginError(OpfmodelError):
     Attributes
     ----------
     option
-        Invalid option, if the error concerns one.
-    key
-        Path of keys to the invalid entry: the option, then keys inside its value.
+        Invalid option, if the error concerns one; :attr:`key` is the option, then keys inside its value.
     """
 
     def __init__(self, message: str, *key: str | int) -> None:
@@ -174,7 +237,24 @@ class ResultWarning(UserWarning):
 
 
 class ScenarioError(OpfmodelError):
-    """A scenario or study file violates its schema; the message gives file, line and column."""
+    """A scenario or study file is invalid.
+
+    The message has one line for each fault, with file, line, column, key and accepted values;
+    :attr:`faults` has the same as values, and an excerpt of the file for each.
+    """
+
+    def __init__(self, *faults: Fault | str) -> None:
+        self._faults = tuple(Fault(fault) if isinstance(fault, str) else fault for fault in faults)
+        Exception.__init__(self, *self._faults)
+
+    def __str__(self) -> str:
+        """Return one line for each fault."""
+        return "\n".join(map(str, self._faults))
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong, in order of position."""
+        return self._faults
 
 
 class SizeError(OpfmodelError):
@@ -189,13 +269,52 @@ class UnitError(OpfmodelError, ValueError):
     """A quantity is in another unit than its field; also a ValueError, which pydantic reports."""
 
 
+def raise_all(errors: Iterable[OpfmodelError]) -> None:
+    """Raise the first of several errors, which carries the others; return if there are none."""
+    found = list(islice(errors, MOST_FAULTS + 1))
+    if found:
+        found[0].others = tuple(found[1:])
+        raise found[0]
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the known names closest to ``name``, or list all of them if none is close."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
-    if close:
-        return "did you mean " + " or ".join(repr(n) for n in close) + "?"
+    if name.partition(":")[0] in names:
+        return f"a space is missing after the colon in {shown(name)}"
+    if found := close(name, names):
+        return "did you mean " + " or ".join(map(repr, found)) + "?"
     return "available: " + (", ".join(names[:20]) + (" ..." if len(names) > 20 else "") if names else "none")
+
+
+def close(name: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that a misspelt name may stand for, the closest first."""
+    names = sorted(known)
+    if name.partition(":")[0] in names:  # a key with its value, without a space between them
+        return [name.partition(":")[0]]
+    similar = _similar(name, names)
+    found = difflib.get_close_matches(name, similar, n=3, cutoff=0.6)
+    return found or [other for other in similar if len(name) > 1 and _distance(name, other) == 1][:3]
+
+
+def _similar(name: str, names: list[str]) -> list[str]:
+    """Return the names that share the longest beginning and end with ``name``; all if they are few."""
+    if len(names) <= _MOST_COMPARED:
+        return names
+
+    return nsmallest(_MOST_COMPARED, names, key=lambda other: _distance(name, other))
+
+
+def _distance(one: str, other: str) -> int:
+    """Length of what remains of two texts without the beginning and the end that they share."""
+    begin = _shared(one, other)
+    return max(len(one), len(other)) - begin - _shared(one[begin:][::-1], other[begin:][::-1])
+
+
+def _shared(one: str, other: str) -> int:
+    """Number of characters with which two texts both begin."""
+    differs = (n for n, (a, b) in enumerate(zip(one, other, strict=False)) if a != b)
+    return next(differs, min(len(one), len(other)))
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:

@@ -176,7 +176,10 @@ def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:
     path.write_text(WEAK + "variants:\n  fine: {}\n  bad: {controller: {horizon: 0}}\n")
     code, _, err = call("validate", path)
     assert code == 2
-    assert err.startswith(f"error: variant 'bad': {path}:12:22: controller.horizon: 0: ")
+    message, line, caret = err.splitlines()
+    assert message.startswith(f"error: {path}:12:22: controller.horizon: 0: ")
+    assert message.endswith("(variant 'bad')")
+    assert line[caret.index("^") :].startswith("horizon: 0}")
     assert call("validate", path, "--variant", "fine")[0] == 0
 
 
@@ -185,10 +188,12 @@ def test_only_an_error_caused_by_an_option_cites_it(call: Call, tmp_path: Path) 
     path.write_text(TWO_BUSES.replace("horizon: 3", "horizon: 0"))
     fault = f"error: {path}:8:14: controller.horizon: 0: "
     assert call("solve", path, "--set", "time.steps=2")[2].startswith(fault)
-    assert call("solve", path, "--set", "time.steps=0")[2].startswith("error: --set: time.steps: 0: ")
+    both = call("solve", path, "--set", "time.steps=0")[2]
+    assert both.startswith(fault)
+    assert "error: --set time.steps=0: time.steps: 0: " in both
     assert call("run", path, "--on-infeasible", "elastic")[2].startswith(fault)
     assert call("solve", path, "--horizon", "2", "--formulation", "nosuch")[2].startswith(
-        "error: --formulation: controller.formulation: "
+        "error: --formulation nosuch: controller.formulation: "
     )
 
 
@@ -244,25 +249,31 @@ def test_list(call: Call) -> None:
         (("solve", CASE14, "--variant", "x"), r"pglib_opf_case14_ieee\.m: --variant and --set"),
         (("run", CASE5, "--set", "controller"), "--set controller: .*KEY=VALUE"),
         (("run", CASE5, "--set", "controller.x=1"), "controller.x: unknown key"),
-        (("run", CASE5, "--set", "time.steps=[1"), "--set time.steps:1:1: not YAML"),
+        (("run", CASE5, "--set", "time.steps=[1"), r"--set time.steps=\[1: not YAML"),
         (
             ("run", CASE5, "--set", "controller.solver.options={no_such: 1}"),
             "ipopt .*'no_such': 1",
         ),
-        (("run", CASE5, "--set", f"x={'[' * 20_000}"), "--set x:1:1001: not YAML"),
-        (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), "--set x:1:201: nested too deeply"),
+        (("run", CASE5, "--set", f"x={'[' * 20_000}"), r"--set x=\[+\.\.\.: not YAML"),
+        (("run", CASE5, "--set", f"x={'{a: ' * 20_000}"), r"--set x=.*\.\.\.: nested too deeply"),
         (("run", CASE5, "--set", f"{'a.' * 20_000}a=1"), "has 20001 parts"),
-        (("run", CASE5, "--set", f"time.steps={10**30}"), "--set time.steps:1:1: .*integers of more than 64"),
-        (("run", CASE5, "--set", f"name={'x' * 5000}"), "--set: name: .* at most 120 bytes"),
+        (("run", CASE5, "--set", f"time.steps={10**30}"), "--set time.steps=10*: .*integers of more than 64"),
+        (("run", CASE5, "--set", f"name={'x' * 5000}"), r"--set name=x+\.\.\.: name: .* at most 120 bytes"),
         (("run", f"{'x' * 5000}.yaml"), "xxx.yaml: cannot be read"),
-        (("run", CASE5, "--set", "time=2019-07-22"), "--set: time: '2019-07-22': must be a mapping"),
+        (
+            ("run", CASE5, "--set", "time=2019-07-22"),
+            "--set time=2019-07-22: time: '2019-07-22': must be a mapping",
+        ),
         (
             ("run", CASE5, "--set", "network.base_mva=1e308"),
-            "--set: network.base_mva: 1e.308: must be a finite",
+            "--set network.base_mva=1e308: network.base_mva: 1e.308: must be a finite",
         ),
-        (("solve", CASE5, "--formulation", "acc"), "error: --formulation: controller.formulation: .* 'acc'"),
-        (("solve", CASE5, "--solver", "nosuch"), "error: --solver: controller.solver: .*'nosuch'"),
-        (("solve", CASE5, "--horizon", "0"), "error: --horizon: controller.horizon: 0: "),
+        (
+            ("solve", CASE5, "--formulation", "acc"),
+            "error: --formulation acc: controller.formulation: .* 'acc'",
+        ),
+        (("solve", CASE5, "--solver", "nosuch"), "error: --solver nosuch: controller.solver: .*'nosuch'"),
+        (("solve", CASE5, "--horizon", "0"), "error: --horizon 0: controller.horizon: 0: "),
         (("solve", CASE5, "--default-cost", "3"), "--default-cost .*network.default_cost"),
         (("solve", CASE5, "--lossy"), "--lossy .*--set network.lossy=true"),
         (("validate", CASE5, "--lossy"), "--lossy .*--set network.lossy=true"),
@@ -275,13 +286,16 @@ def test_list(call: Call) -> None:
         (("plot", "nowhere"), "no such file"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(call: Call, arguments: tuple, message: str) -> None:
+def test_bad_input_is_one_line_with_an_excerpt_and_status_2(
+    call: Call, arguments: tuple, message: str
+) -> None:
     code, out, err = call(*arguments)
     assert code == 2
     assert out == ""
     assert message in err or re.search(message, err)
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
+    first, *excerpt = err.splitlines()
+    assert first.startswith("error: ")
+    assert not excerpt or (len(excerpt) == 2 and excerpt[1].strip() == "^")
 
 
 @pytest.mark.parametrize(

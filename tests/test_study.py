@@ -155,8 +155,8 @@ def test_every_point_of_a_grid_is_one_run(sizes: list[int], tmp_path_factory: py
         ("measured: {}", "measured: {controller: {horizon: 5}}", r"study.yaml:4:3: vary.demand: 'controller.horizon' is .* by"),
         ("measured: {}", "measured: {controller.horizon.a: 5}", r"'controller.horizon' is .* by 'controller.horizon'"),
         ("scenario:", "name: \"a\\e[2J\"\nscenario:", r"study.yaml:1:1: name: 'a\\x1b\[2J': .*visible characters only"),
-        ("measured: {}", "\"a\\rb\": {}", r"study.yaml:5:5: the key 'a\\rb' has the character .*visible characters only"),
-        ("demand:", "\"a\\u202Eb\":", r"study.yaml:4:3: the key 'a\\u202eb' has the character .*visible characters only"),
+        ("measured: {}", "\"a\\rb\": {}", r"study.yaml:5:5: vary.demand: the key 'a\\rb' has the character .*visible characters only"),
+        ("demand:", "\"a\\u202Eb\":", r"study.yaml:4:3: vary: the key 'a\\u202eb' has the character .*visible characters only"),
         ("controller.horizon: [1", "description: [\"\\uD800\"", r"study.yaml:3:20: not YAML: found invalid Unicode character"),
     ],
 )  # fmt: skip
@@ -166,8 +166,7 @@ def test_errors_are_located(old: str, new: str, message: str, folder: Path) -> N
     path.write_text(GRID.replace(old, new, 1))
     with pytest.raises(ScenarioError, match=message) as caught:
         read_study(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
+    assert all(line.startswith(str(path)) for line in str(caught.value).splitlines())
 
 
 # A grid with voltages and a storage, whose objective and plant a study may choose.
@@ -1348,7 +1347,9 @@ def test_a_misspelt_vary_is_reported_as_a_key_of_a_study(folder: Path) -> None:
     path.write_text("scenario: tiny.yaml\nvarry: {time.steps: [1, 2]}\n")
     for command in (("validate",), ("study", "run")):
         code, _, err = finish_any(*command, path)
-        assert (code, err) == (2, f"error: {path}:2:1: varry: unknown key; did you mean 'vary'?\n")
+        message, line, _ = err.splitlines()
+        assert (code, message) == (2, f"error: {path}:2:1: varry: unknown key; did you mean 'vary'?")
+        assert line.endswith("varry: {time.steps: [1, 2]}")
     code, _, err = finish_any("run", path)
     assert (code, "this file is a study" in err) == (2, True)
 

@@ -41,7 +41,7 @@ def written(tmp_path: Path, text: str) -> Path:
         ("controller: {formulation: dc, objective: voltage-deviation}\n", r":9:31: controller.objective: .* needs vm"),
         ("cost: voltage-deviation\ncontroller: {formulation: dc}\n", r":9:1: cost: .* needs vm"),
         ("constraints:\n  pg_ramp: {terms: {g.pg: 1}, at_most: 90}\n", "'pg_ramp"),
-        ("variants:\n  v: {controller: {solver: clarabel}}\n", r"variant 'v': .*:10:20: controller.solver: 'clarabel'"),
+        ("variants:\n  v: {controller: {solver: clarabel}}\n", r":10:20: controller.solver: 'clarabel' .*\(variant 'v'\)"),
         ("controller: {objective: {setpoint-tracking: {setpoints: {g.pg: [1, 2]}}}}\n", "time.steps: .*need series of .* 4 values"),
         (SERIES + "controller: {horizon: 3}\nforecast: {file: {file: forecast.csv}}\n", ":11:1: forecast: .*'twon.p': .* did you mean 'town.p'"),
         (SERIES + "controller: {horizon: 3}\nforecast: {file: {file: short.csv}}\n", ":11:1: forecast: .*5 rows; steps 3 to 5 need 6"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Sequence
 from importlib.metadata import version
 from io import TextIOWrapper
 from typing import Annotated, NoReturn
@@ -11,8 +12,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
-from opfmodel.cli.output import WarningPrinter, print_json, print_line, remark
-from opfmodel.errors import OpfmodelError
+from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
+from opfmodel.errors import Fault, OpfmodelError
 
 __all__ = ["app", "main"]
 
@@ -74,7 +75,7 @@ def _require_command(context: typer.Context) -> None:
 
 
 def main() -> NoReturn:
-    """Run the command line; an error in the input is one line on standard error and exit status 2."""
+    """Run the command line; errors in the input go to standard error, with exit status 2."""
     as_json = "--json" in sys.argv[1:]
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
@@ -84,30 +85,30 @@ def main() -> NoReturn:
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted", as_json, code=1)
+        _fail((Fault("interrupted"),), as_json, code=1)
     except Exception as error:
-        message = _mistake(error)
-        if message is None:
+        faults = _mistakes(error)
+        if not faults:
             raise
-        _fail(message, as_json)
+        _fail(faults, as_json)
     if code == _CTRL_C:
-        _fail("interrupted", as_json, code=1)
+        _fail((Fault("interrupted"),), as_json, code=1)
     sys.exit(code or 0)
 
 
-def _mistake(error: Exception) -> str | None:
-    """The message of a user's error; None for a fault of the program."""
+def _mistakes(error: Exception) -> tuple[Fault, ...]:
+    """What is wrong in the user's input; nothing for a fault of the program."""
     if isinstance(error, OpfmodelError):
-        return str(error)
+        return error.faults
     if hasattr(error, "format_message"):  # wrong usage of the command line
-        return str(error.format_message())
+        return (Fault(str(error.format_message())),)
     from solvers import SolverError
 
-    return str(error) if isinstance(error, SolverError) else None
+    return (Fault(str(error)),) if isinstance(error, SolverError) else ()
 
 
-def _fail(message: str, as_json: bool, code: int = 2) -> NoReturn:
-    remark(f"error: {message}")
+def _fail(faults: Sequence[Fault], as_json: bool, code: int = 2) -> NoReturn:
+    print_faults(faults)
     if as_json:
-        print_json({"error": message})
+        print_json({"error": "\n".join(map(str, faults)), "faults": [fault.as_dict() for fault in faults]})
     sys.exit(code)

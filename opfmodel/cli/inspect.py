@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from opfmodel.cli import show
 from opfmodel.cli.options import FILE, JSON, LOSSY, SET, VARIANT
 from opfmodel.cli.output import print_json, print_line, print_notes
 from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario, refuse_lossy
-from opfmodel.errors import OpfmodelError
+from opfmodel.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from opfmodel.scenario import Scenario
+    from opfmodel.scenario.document import Document
 
 __all__ = ["list_plugins", "validate"]
 
@@ -23,21 +29,14 @@ def validate(
     """
     from opfmodel.network.arrays import per_unit
     from opfmodel.scenario.document import read_document
-    from opfmodel.scenario.rehearsal import rehearse
 
     if is_scenario(file):
         refuse_lossy(file, lossy)
         document = read_document(file)
         if document.is_study:
             return _validate_study(file, json_)
-        loaded = read_scenario(document, variant, set_)
-        rehearse(loaded)
+        loaded = _rehearsed(document, variant, set_)
         network, notes = loaded.network, loaded.problem.notes
-        for name in loaded.settings.variants if variant is None else ():
-            try:
-                rehearse(read_scenario(document, name, set_))
-            except OpfmodelError as error:
-                raise OpfmodelError(f"variant {name!r}: {error}") from error
     else:
         network = read_network_file(file, default_cost=0.0, lossy=lossy)
         notes = per_unit(network).notes
@@ -48,6 +47,27 @@ def validate(
         print_notes(notes)
         print_line(f"{file}: valid; {network!r}")
     return 0
+
+
+def _rehearsed(document: Document, variant: str | None, overrides: list[str] | None) -> Scenario:
+    """Read a scenario and, unless one is given, all its variants; one error reports the faults of all."""
+    from opfmodel.data.collection import Faults
+    from opfmodel.scenario.rehearsal import rehearse
+
+    faults, loaded = Faults(), None
+    with faults:
+        loaded = read_scenario(document, variant, overrides)
+        rehearse(loaded)
+    declared = document.content.get("variants") if isinstance(document.content, dict) else None
+    for name in declared if variant is None and isinstance(declared, dict) else ():
+        try:
+            rehearse(read_scenario(document, name, overrides))
+        except ScenarioError as error:
+            new = [fault for fault in error.faults if fault not in faults]
+            faults.add(*(replace(fault, message=f"{fault.message} (variant {name!r})") for fault in new))
+    faults.settle()
+    assert loaded is not None
+    return loaded
 
 
 def _validate_study(file: Path, as_json: bool) -> int:

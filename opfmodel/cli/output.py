@@ -10,10 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
 
-from opfmodel.errors import CaseWarning, ProfileWarning, ResultWarning, visible
+from opfmodel.errors import CaseWarning, Fault, ProfileWarning, ResultWarning, visible
 
 __all__ = [
     "WarningPrinter",
+    "print_faults",
     "print_json",
     "print_line",
     "print_notes",
@@ -25,6 +26,7 @@ __all__ = [
 
 _UNLIMITED = 100_000  # columns
 _MOST_WARNINGS = 100
+_MOST_FAULTS = 20
 
 
 def print_line(line: str) -> None:
@@ -35,6 +37,16 @@ def print_line(line: str) -> None:
 def remark(line: str) -> None:
     """Print an error, a warning or a note."""
     print(visible(line), file=sys.stderr)  # noqa: T201
+
+
+def print_faults(faults: Sequence[Fault]) -> None:
+    """Print what is wrong, each on a line, with an excerpt of the file below; no more than a screen holds."""
+    for fault in faults[:_MOST_FAULTS]:
+        remark(f"error: {fault}")
+        for line in fault.excerpt.splitlines():
+            remark(line)
+    if len(faults) > _MOST_FAULTS:
+        remark(f"error: and {len(faults) - _MOST_FAULTS} more")
 
 
 def print_notes(notes: Sequence[str]) -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from opfmodel.errors import OpfmodelError, ScenarioError
+from opfmodel.errors import Fault, OpfmodelError, ScenarioError
 
 if TYPE_CHECKING:
+    from opfmodel.data.yaml import Place
     from opfmodel.network import Network
     from opfmodel.scenario import Scenario
     from opfmodel.scenario.document import Document
 
 __all__ = ["check_on_infeasible", "is_scenario", "read_network_file", "read_scenario", "refuse_lossy"]
+
+
+_LONGEST = 80  # characters of an option that a message repeats
 
 
 def is_scenario(file: Path) -> bool:
@@ -43,46 +47,81 @@ def read_scenario(
     ScenarioError
         As for :func:`opfmodel.scenario.load_scenario`; an error that an option causes cites the option.
     """
-    from opfmodel.data.yaml import parse
     from opfmodel.scenario import load_scenario
     from opfmodel.scenario.document import read_document
 
     if isinstance(file, Path) and not is_scenario(file):
         raise OpfmodelError(f"{file}: is not a scenario file; its name must end in .yaml or .yml")
-    options: dict[str, tuple[str, Any]] = {}
-    for item in overrides or []:
-        key, equals, text = item.partition("=")
-        if not equals or not key:
-            raise OpfmodelError(f"--set {item}: must be KEY=VALUE, such as controller.horizon=24")
-        options[key] = "--set", parse(text, f"--set {key}")[0]
-    options |= changes or {}
+    options = [_set(item) for item in overrides or []]
+    options += [_option(key, option, value) for key, (option, value) in (changes or {}).items()]
     document = read_document(file) if isinstance(file, Path) else file
-    values = {key: value for key, (_, value) in options.items()}
+    values = {option.key: option.value for option in options}
+    places = {option.key: option.place for option in options}
     try:
-        return load_scenario(document, variant, values)
+        return load_scenario(document, variant, values, places=places)
     except ScenarioError as error:
-        option = _culprit(document, variant, values, str(error))
-        if option is None:
-            raise
-        load_scenario(replace(document, origin=options[option][0]), variant, values)
-        raise
+        raise ScenarioError(*_blamed(error.faults, document, variant, options)) from error
 
 
-def _culprit(document: Document, variant: str | None, values: Mapping[str, Any], message: str) -> str | None:
-    """Return the key of the override without which a scenario does not raise an error of this message."""
+@dataclass(frozen=True)
+class _Option:
+    """An option of the command line that sets a key of the scenario."""
+
+    key: str
+    value: Any
+    place: Place
+
+
+def _set(item: str) -> _Option:
+    """Read an argument of ``--set``."""
+    from opfmodel.data.source import Source
+    from opfmodel.data.yaml import parse
+
+    key, equals, text = item.partition("=")
+    if not equals or not key:
+        raise OpfmodelError(f"--set {item}: must be KEY=VALUE, such as controller.horizon=24")
+    name = f"--set {item}" if len(item) <= _LONGEST else f"--set {item[:_LONGEST]}..."
+    value, place = parse(text, Source(name, text, f"--set {key}=", is_file=False))
+    return _Option(key, value, place)
+
+
+def _option(key: str, option: str, value: Any) -> _Option:
+    """Return the option of a key that has an option of its own."""
+    from opfmodel.data.source import Source
+    from opfmodel.data.yaml import Place
+
+    source = Source(f"{option} {value}", str(value), f"{option} ", is_file=False)
+    return _Option(key, value, Place(1, 1, source))
+
+
+def _blamed(
+    faults: Iterable[Fault], document: Document, variant: str | None, options: Sequence[_Option]
+) -> list[Fault]:
+    """Return faults with those in the file that an option causes located at the option."""
     from opfmodel.scenario import load_scenario
     from solvers import SolverError
 
-    for key in values:
-        others = {other: value for other, value in values.items() if other != key}
+    blamed = list(faults)
+    for option in options:
+        if all(fault.line is None for fault in blamed):
+            break
+        others = {other.key: other.value for other in options if other is not option}
+        places = {other.key: other.place for other in options if other is not option}
+        without: tuple[Fault, ...] = ()
         try:
             with warnings.catch_warnings(action="ignore"):  # they have been shown
-                load_scenario(document, variant, others)
-        except (OpfmodelError, SolverError) as error:
-            if str(error) == message:
-                continue
-        return key
-    return None
+                load_scenario(document, variant, others, places=places)
+        except ScenarioError as error:
+            without = error.faults
+        except (OpfmodelError, SolverError):
+            continue
+        blamed = [
+            fault
+            if fault.line is None or fault in without
+            else replace(option.place.fault((), fault.message, fault.cause), key=fault.key)
+            for fault in blamed
+        ]
+    return list(dict.fromkeys(blamed))
 
 
 def read_network_file(file: Path, default_cost: float | None, lossy: bool = False) -> Network:

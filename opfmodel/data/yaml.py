@@ -15,7 +15,10 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from opfmodel.errors import ScenarioError, name_fault, shown
+from opfmodel.data.collection import Faults
+from opfmodel.data.source import Source
+from opfmodel.data.syntax import syntax_fault
+from opfmodel.errors import Fault, ScenarioError, name_fault, nearest, shown
 
 __all__ = ["MOST_LEVELS", "Place", "parse"]
 
@@ -40,16 +43,19 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U000100
 
 
 class Place(NamedTuple):
-    """Location of a value or its key in a file, with the locations of nested values.
+    """Location of a value or its key in a text, with the locations of nested values.
 
     Attributes
     ----------
     line, column
         Numbered from 1.
+    source
+        The text. Values laid over those of a file come from another text.
     """
 
     line: int
     column: int
+    source: Source
     inside: Mapping[str, Place] | Sequence[Place] = ()
 
     def at(self, key: Sequence[str | int]) -> Place:
@@ -63,14 +69,40 @@ class Place(NamedTuple):
             place = inside[part]
         return place
 
+    def fault(self, key: Sequence[str | int], message: str, cause: Exception | None = None) -> Fault:
+        """Return a fault in a nested value."""
+        place = self.at(key)
+        return place.source.fault(place.line, place.column, message, key, cause)
 
-def parse(text: str, source: str) -> tuple[Any, Place]:
+    def over(self, base: Place) -> Place:
+        """Merge the locations of two mappings, where those of this one take precedence."""
+        if not (isinstance(base.inside, dict) and isinstance(self.inside, dict)):
+            return self
+        merged = {
+            key: place.over(base.inside[key]) if key in base.inside else place
+            for key, place in self.inside.items()
+        }
+        return self._replace(inside={**base.inside, **merged})
+
+    def laid(self, key: Sequence[str], place: Place) -> Place:
+        """Lay the location of a value over that of the same key; a missing parent is at the value."""
+        if not key:
+            return place.over(self)
+        inside = self.inside if isinstance(self.inside, dict) else {}
+        below = inside.get(key[0], place._replace(inside={}))
+        return self._replace(inside={**inside, key[0]: below.laid(key[1:], place)})
+
+
+def parse(text: str, source: Source | str, faults: Faults | None = None) -> tuple[Any, Place]:
     """Parse YAML into dictionaries, lists, strings, numbers, Booleans and None, with their locations.
 
     Parameters
     ----------
     source
-        Name of the file, with which messages begin.
+        The text as cited by errors, or the name of its file.
+    faults
+        Collector of faults that do not make the rest unreadable, such as a duplicate key. Without it, all
+        faults are raised.
 
     Raises
     ------
@@ -79,25 +111,33 @@ def parse(text: str, source: str) -> tuple[Any, Place]:
         integer of more than 64 bits, more than fifty levels or more than two million values. The message
         gives line and column.
     """
+    if isinstance(source, str):
+        source = Source(source, text)
+    found = Faults() if faults is None else faults
     try:
-        content, inside = _Reader(text, source).document()
+        content, inside = _Reader(text, source, found).document()
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        if error.context_mark is not None and mark.index >= len(text.rstrip()):
-            mark = error.context_mark  # point to the unclosed item, not to the end of the file
-        where = f"{mark.line + 1}:{mark.column + 1}"
-        raise ScenarioError(f"{source}:{where}: not YAML: {error.problem}") from None
+        raise _first(found, syntax_fault(error, source)) from None
     except (yaml.YAMLError, UnicodeEncodeError):
-        raise ScenarioError(_unprintable(text, source)) from None
-    return content, Place(1, 1, inside)
+        raise _first(found, _unprintable(text, source)) from None
+    except ScenarioError as error:
+        raise _first(found, *error.faults) from None
+    if faults is None:
+        found.settle()
+    return content, Place(1, 1, source, inside)
 
 
-def _unprintable(text: str, source: str) -> str:
+def _first(found: Faults, *fatal: Fault) -> ScenarioError:
+    """Return the error of a text that cannot be read to its end, after the faults before."""
+    return ScenarioError(*found, *(fault for fault in fatal if fault not in found))
+
+
+def _unprintable(text: str, source: Source) -> Fault:
     found = _UNPRINTABLE.search(text)
     if found is None:
-        return f"{source}: not YAML"
+        return Fault("not YAML", source.name)
     line, column = text.count("\n", 0, found.start()), found.start() - text.rfind("\n", 0, found.start())
-    return f"{source}:{line + 1}:{column}: not YAML: the character {found[0]!a}"
+    return source.fault(line + 1, column, f"not YAML: the character {found[0]!a}")
 
 
 class _Node(NamedTuple):
@@ -111,8 +151,10 @@ class _Node(NamedTuple):
 class _Reader:
     """Build plain data from parser events."""
 
-    def __init__(self, text: str, source: str) -> None:
+    def __init__(self, text: str, source: Source, faults: Faults) -> None:
         self.source = source
+        self.faults = faults
+        self.path: list[str | int] = []
         self.events: Iterator[Any] = yaml.parse(text, Loader=_LOADER)
         self.anchors: dict[str, _Node] = {}
         self.count = 0
@@ -135,8 +177,20 @@ class _Reader:
 
     def refuse(self, event: Any, message: str) -> NoReturn:
         """Raise an error at the position of an event."""
+        raise ScenarioError(self.fault(event, message, ()))
+
+    def record(self, event: Any, message: str) -> None:
+        """Record a fault at the position of an event, behind which reading can go on."""
+        self.faults.add(self.fault(event, message, self.path))
+
+    def fault(self, event: Any, message: str, key: Sequence[str | int]) -> Fault:
+        """Fault at the position of an event."""
         mark = event.start_mark
-        raise ScenarioError(f"{self.source}:{mark.line + 1}:{mark.column + 1}: {message}")
+        return self.source.fault(mark.line + 1, mark.column + 1, message, key)
+
+    def place(self, event: Any, inside: Any) -> Place:
+        """Location of an event."""
+        return Place(event.start_mark.line + 1, event.start_mark.column + 1, self.source, inside)
 
     def node(self, event: Any, level: int) -> _Node:
         """Value that begins with an event."""
@@ -162,7 +216,7 @@ class _Reader:
         """Refuse tags, which could construct objects."""
         if event.tag is not None:
             tag = event.tag.replace("tag:yaml.org,2002:", "!!", 1)
-            self.refuse(event, f"the tag {shown(tag)} is not accepted; use plain data")
+            self.record(event, f"the tag {shown(tag)} is not accepted; use plain data")
 
     def add(self, event: Any, size: int) -> None:
         """Count values, and refuse too many."""
@@ -173,18 +227,23 @@ class _Reader:
     def anchored(self, event: Any) -> _Node:
         """Value that an alias refers to."""
         if event.anchor not in self.anchors:
-            self.refuse(event, f"no anchor {event.anchor!r} is complete before this alias")
+            near = nearest(event.anchor, self.anchors)
+            self.record(event, f"no anchor {event.anchor!r} is complete before this alias; {near}")
+            return _Node(None, (), 1)
         node = self.anchors[event.anchor]
         self.add(event, node.size)
         return node
 
     def sequence(self, level: int) -> tuple[list[Any], list[Place]]:
         """Values and locations up to the end of a sequence."""
-        values, places = [], []
+        values: list[Any] = []
+        places: list[Place] = []
         while not isinstance(event := next(self.events), yaml.SequenceEndEvent):
+            self.path.append(len(values))
             node = self.node(event, level)
+            self.path.pop()
             values.append(node.value)
-            places.append(Place(event.start_mark.line + 1, event.start_mark.column + 1, node.inside))
+            places.append(self.place(event, node.inside))
         return values, places
 
     def mapping(self, level: int) -> tuple[dict[str, Any], dict[str, Place]]:
@@ -195,15 +254,19 @@ class _Reader:
         while not isinstance(event := next(self.events), yaml.MappingEndEvent):
             if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
                 if merged is not None:
-                    self.refuse(event, "not YAML: found duplicate merge key '<<'")
-                merged = self.merged(level)
+                    self.record(event, "not YAML: found duplicate merge key '<<'")
+                merged = [*(merged or ()), *self.merged(level)]
                 continue
             key = self.key(event)
+            self.path.append(key)
             if key in values:
-                self.refuse(event, f"not YAML: found duplicate key {key!r}")
+                first = f"line {places[key].line}"
+                self.record(event, f"not YAML: found duplicate key {shown(key)}; the first is in {first}")
             node = self.node(next(self.events), level)
-            values[key] = node.value
-            places[key] = Place(event.start_mark.line + 1, event.start_mark.column + 1, node.inside)
+            self.path.pop()
+            if key not in values:
+                values[key] = node.value
+                places[key] = self.place(event, node.inside)
         for node in merged or ():
             values = {**values, **{k: v for k, v in node.value.items() if k not in values}}
             places = {**places, **{k: v for k, v in node.inside.items() if k not in places}}
@@ -217,7 +280,8 @@ class _Reader:
         if isinstance(node.value, list):
             nodes = [_Node(v, at.inside, 1) for v, at in zip(node.value, node.inside, strict=True)]
         if not all(isinstance(each.value, dict) for each in nodes):
-            self.refuse(event, "the value of a merge key must be a mapping or a list of mappings")
+            self.record(event, "the value of a merge key must be a mapping or a list of mappings")
+            return []
         return nodes
 
     def key(self, event: Any) -> str:
@@ -237,7 +301,7 @@ class _Reader:
         if isinstance(value, dict | list):
             self.refuse(event, "a key must be a word or a number, not a mapping or a list")
         if fault := name_fault(text):
-            self.refuse(event, f"the key {shown(text)} {fault}")
+            self.record(event, f"the key {shown(text)} {fault}")
         return text
 
     def scalar(self, event: Any) -> Any:
@@ -253,6 +317,7 @@ class _Reader:
             digits = text.replace("_", "")
             number = int(digits, _BASES[match.lastindex]) if len(digits) <= _MOST_DIGITS else None
             if number is None or not -(2**63) <= number < 2**63:
-                self.refuse(event, f"{shown(text)}: integers of more than 64 bits are not accepted")
+                self.record(event, f"{shown(text)}: integers of more than 64 bits are not accepted")
+                return 0
             return number
         return float(text.replace("_", "")) if _FLOAT.fullmatch(text) else text

@@ -12,7 +12,7 @@ from opfmodel.data.columns import Columns, read_columns
 from opfmodel.data.grid import at_calendar
 from opfmodel.data.resampling import Resample, check_method
 from opfmodel.data.series import Profiles, SeriesKey
-from opfmodel.errors import ProfileError, nearest
+from opfmodel.errors import ProfileError, nearest, raise_all
 from opfmodel.forecasts.base import Array, Forecast, part
 
 __all__ = ["File"]
@@ -79,10 +79,14 @@ class File(Forecast):
                 f"steps {time} to {time + stages - 1} need {first + stages - lead}"
             )
         known = part(actual, time, stages)
-        for key in series:
-            if key not in known:
-                near = nearest(str(key), map(str, known))
-                raise ProfileError(f"{self.file}: column '{key}': the profiles have no such series; {near}")
+        raise_all(
+            ProfileError(
+                f"{self.file}: column '{key}': the profiles have no such series; "
+                f"{nearest(str(key), map(str, known))}"
+            )
+            for key in series
+            if key not in known
+        )
         ahead = np.arange(first, first + stages) % rows
         return Profiles({**known, **{key: values[ahead] for key, values in series.items()}})
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ConstraintError, ModelError, name_fault, nearest, shown
+from opfmodel.errors import ConstraintError, ModelError, name_fault, nearest, raise_all, shown
 from opfmodel.model.elastic import Soft
 from opfmodel.model.model import Model
 from opfmodel.model.stage import Stage
@@ -268,14 +268,7 @@ class Linear:
     def __init__(self, terms: Mapping[str, float]) -> None:
         if not terms:
             raise ConstraintError("needs at least one term, such as generator.pg: 1", "terms")
-        for key, factor in terms.items():
-            if not (is_number(factor) and bounded(factor)):
-                raise ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
-            owner, dot, quantity = str(key).rpartition(".")
-            if not (owner and dot and quantity):
-                raise ConstraintError(
-                    "write kind.quantity (generator.pg) or component.quantity (coal.pg)", "terms", key
-                )
+        raise_all(_errors_of_factors(terms))
         self.terms = dict(terms)
 
     def __call__(self, stage: Stage) -> Sum:
@@ -302,6 +295,17 @@ class Linear:
         for kind, members in _select(stage, owner, quantity, key):
             result = result + self.terms[key] * total(_values(stage, kind, quantity, members, key))
         return result
+
+
+def _errors_of_factors(terms: Mapping[str, float]) -> Iterator[ConstraintError]:
+    for key, factor in terms.items():
+        if not (is_number(factor) and bounded(factor)):
+            yield ConstraintError(f"{shown(factor)}: the factor must be a finite number", "terms", key)
+        owner, dot, quantity = str(key).rpartition(".")
+        if not (owner and dot and quantity):
+            yield ConstraintError(
+                "write kind.quantity (generator.pg) or component.quantity (coal.pg)", "terms", key
+            )
 
 
 def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str, Index]]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from opfmodel.errors import ComponentError, NetworkError, listed, nearest
+from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
@@ -226,7 +226,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
 
 def _lay_out(network: Network) -> PerUnitNetwork:
     notes: list[str] = []
-    _check_buses(network)
+    raise_all(_errors_of_buses(network))
     every_bus = network.of(Bus)
     buses = {name: bus for name, bus in every_bus.items() if bus.in_service}
     kept = {
@@ -327,13 +327,14 @@ def _broken_rules(network: Network) -> Iterator[str]:
         yield f"out of service, with invalid data: {listed(map(repr, broken))}; {first}"
 
 
-def _check_buses(network: Network) -> None:
+def _errors_of_buses(network: Network) -> Iterator[ComponentError]:
+    """Yield an error for every field that names no bus."""
     known = network.of(Bus)
     for name in network:
         component = network[name]
         for key, bus in zip(component.bus_fields(), component.buses, strict=True):
             if bus not in known:
-                raise ComponentError(name, key, bus, f"no such bus; {nearest(bus, known)}")
+                yield ComponentError(name, key, bus, f"no such bus; {nearest(bus, known)}")
 
 
 def _reference(

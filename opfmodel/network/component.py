@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
 from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
-from opfmodel.errors import ComponentError, ProfileError, nearest
+from opfmodel.errors import ComponentError, ProfileError, close, nearest, raise_all
 from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.describe import documented
 from opfmodel.network.fields import (
@@ -96,9 +96,8 @@ class Component:
         a :class:`Cost` with numeric parameters. Types are checked even if the component is out of
         service, because arrays, files and later updates rely on them.
         """
-        for key, metadata, check_type, _ in self._checks():
-            if check_type is not None:
-                check_type(name, key, getattr(self, key), metadata)
+        values = {key: getattr(self, key) for key in self.fields()}
+        raise_all(self._errors(name, values, in_service=False))
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` unless the component may be in service.
@@ -106,10 +105,20 @@ class Component:
         Checks the type and the rules of each field. A subclass calls this method first and then checks
         its own rules.
         """
-        self.check_types(name)
-        for key, metadata, _, check_rules in self._checks():
-            if check_rules is not None:
-                check_rules(name, key, getattr(self, key), metadata)
+        raise_all(self._errors(name, {key: getattr(self, key) for key in self.fields()}, in_service=True))
+
+    @classmethod
+    def _errors(cls, name: str, values: Mapping[str, Any], in_service: bool) -> Iterator[ComponentError]:
+        """Yield the errors of fields, each regarded by itself: types, and rules if in service."""
+        for key, metadata, check_type, check_rules in cls._checks():
+            if key in values:
+                try:
+                    if check_type is not None:
+                        check_type(name, key, values[key], metadata)
+                    if check_rules is not None and in_service:
+                        check_rules(name, key, values[key], metadata)
+                except ComponentError as error:
+                    yield error
 
     def check_declared(self, name: str) -> None:
         """Raise :class:`ComponentError` unless a network may contain the component.
@@ -258,19 +267,44 @@ class Component:
         ComponentError
             A field is unknown, missing, or invalid (see :meth:`check_declared`).
         """
-        known = cls.fields()
-        for key in values:
-            if key not in known:
-                raise ComponentError(
-                    name, key, values[key], f"unknown field of a {cls.kind}; {nearest(key, known)}"
-                )
-        for key, item in known.items():
-            if key not in values and item.default is MISSING:
-                raise ComponentError(name, key, None, f"required for a {cls.kind}")
-        converted = {key: plain_value(known[key], value) for key, value in values.items()}
-        component = cls(**converted)
+        required = {key for key, item in cls.fields().items() if item.default is MISSING}
+        if not required <= values.keys() <= cls.fields().keys():
+            raise_all(cls.errors_of_mapping(name, values))
+        component = cls(**cls._converted(values))
         component.check_declared(name)
         return component
+
+    @classmethod
+    def errors_of_mapping(
+        cls, name: str, values: Mapping[str, Any], wrong: Collection[str] = ()
+    ) -> Iterator[ComponentError]:
+        """Yield the errors of unknown and missing fields, and of each value regarded by itself.
+
+        Parameters
+        ----------
+        wrong
+            Fields whose values are known to be wrong.
+        """
+        known = cls.fields()
+        unknown = [key for key in values if key not in known]
+        missing = [k for k, item in known.items() if item.default is MISSING and k not in values]
+        meant = {field for key in unknown for field in close(key, known)}
+        if len(unknown) == len(missing) == 1:
+            meant |= set(missing)
+        for key in unknown:
+            rule = f"unknown field of a {cls.kind}; {nearest(key, known)}"
+            yield ComponentError(name, key, values[key], rule)
+        for key in missing:
+            if key not in meant:
+                yield ComponentError(name, key, None, f"required for a {cls.kind}")
+        checked = {key: value for key, value in cls._converted(values).items() if key not in wrong}
+        in_service = values.get("in_service", True)
+        yield from cls._errors(name, checked, in_service=not is_flag(in_service) or bool(in_service))
+
+    @classmethod
+    def _converted(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        known = cls.fields()
+        return {key: plain_value(known[key], value) for key, value in values.items() if key in known}
 
 
 _Kind = TypeVar("_Kind", bound=Component)

@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest
+from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest, raise_all
 from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
 from opfmodel.network.components import BUILT_IN, Bus, Generator, Load, Storage
@@ -151,11 +151,12 @@ class Network:
         time series of these fields.
         """
         old = self[name]
-        for key, value in changes.items():
-            if key not in old.fields():
-                raise ComponentError(
-                    name, key, value, f"unknown field of a {old.kind}; {nearest(key, old.fields())}"
-                )
+        known = old.fields()
+        raise_all(
+            ComponentError(name, key, value, f"unknown field of a {old.kind}; {nearest(key, known)}")
+            for key, value in changes.items()
+            if key not in known
+        )
         new = replace(old, **{k: plain_value(old.fields()[k], v) for k, v in changes.items()})  # type: ignore[type-var]
         new.check_declared(name)
         self._set(name, new)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
-from opfmodel.errors import ProfileError, nearest
+from opfmodel.errors import ProfileError, nearest, raise_all
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import LARGEST
 from opfmodel.network.component import Component
@@ -16,7 +16,7 @@ from opfmodel.network.costs import PiecewiseLinear
 from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
-__all__ = ["check_finite", "check_series", "fields_with_series", "widest", "window"]
+__all__ = ["check_finite", "check_series", "faults_of_keys", "fields_with_series", "widest", "window"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -29,28 +29,37 @@ def check_series(profiles: Profiles, network: Network) -> None:
     rating must be at least 0.
     """
     check_finite(profiles, network)
+    raise_all(
+        ProfileError(f"profile '{key}': {fault}", key) for key, fault in faults_of_keys(profiles, network)
+    )
     for key in profiles:
-        name, field = key
-        if name not in network:
-            raise ProfileError(f"profile '{key}': no such component; {nearest(name, network)}", key)
-        component = network[name]
-        known, fixed = component.table_fields(), [*component.bus_fields(), "in_service"]
-        if field in fixed or (field in known and not known[field].series):
-            raise ProfileError(
-                f"profile '{key}': the {field} of a {component.kind} is constant; "
-                "it cannot have a time series",
-                key,
-            )
-        if field not in known:
-            near = nearest(field, known)
-            raise ProfileError(f"profile '{key}': a {component.kind} has no such field; {near}", key)
-        if known[field].form == "cost" and isinstance(getattr(component, "cost", None), PiecewiseLinear):
-            raise ProfileError(
-                f"profile '{key}': the cost of {name!r} is piecewise linear; "
-                "only polynomial costs can have a time series",
-                key,
-            )
-        _check_rules(profiles, component, key)
+        _check_rules(profiles, network[key.component], key)
+
+
+def faults_of_keys(keys: Iterable[SeriesKey], network: Network) -> Iterator[tuple[SeriesKey, str]]:
+    """Yield the keys that no time series can have, with the reason."""
+    for key in keys:
+        if key.component not in network:
+            yield key, f"the network has no component {key.component!r}; {nearest(key.component, network)}"
+        elif fault := _fault_of_field(network[key.component], key):
+            yield key, fault
+
+
+def _fault_of_field(component: Component, key: SeriesKey) -> str:
+    """Return why a field cannot have a time series; empty if it can."""
+    known, fixed = component.table_fields(), [*component.bus_fields(), "in_service"]
+    if key.field in fixed or (key.field in known and not known[key.field].series):
+        return f"the {key.field} of a {component.kind} is constant; it cannot have a time series"
+    if key.field not in known:
+        try:
+            component.constant(key.field)
+        except ProfileError as error:
+            return str(error)
+    if known[key.field].form == "cost" and isinstance(getattr(component, "cost", None), PiecewiseLinear):
+        return (
+            f"the cost of {key.component!r} is piecewise linear; only polynomial costs can have a time series"
+        )
+    return ""
 
 
 def check_finite(profiles: Profiles, network: Network) -> None:

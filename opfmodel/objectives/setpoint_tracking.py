@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import ModelError, nearest, shown
+from opfmodel.errors import ModelError, nearest, raise_all, shown
 from opfmodel.model import Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import LARGEST, is_number, number_within
@@ -76,16 +76,11 @@ class Setpoints:
             from the others.
         """
         given: dict[str, dict[str, Array]] = {}
+        raise_all(self._errors(network))
         length, longest = 1, ""
         for key, value in self.values.items():
             name, _, quantity = str(key).rpartition(".")
             array = _numbers(key, value)
-            if quantity not in _KINDS:
-                raise ModelError(f"set-point {key!r}: no such quantity; {nearest(quantity, _KINDS)}")
-            position = network.tables[_KINDS[quantity]].position
-            if name not in position:
-                kind = _KINDS[quantity]
-                raise ModelError(f"set-point {key!r}: no such {kind} in service; {nearest(name, position)}")
             if array.size > 1 and length > 1 and array.size != length:
                 raise ModelError(
                     f"set-point {key!r} has {array.size} values, but {longest!r} has {length}; "
@@ -101,6 +96,25 @@ class Setpoints:
             for name, array in members.items():
                 out[quantity][table.position[name]] = array / network.base_mva
         return out
+
+    def _errors(self, network: PerUnitNetwork) -> Iterator[ModelError]:
+        """Yield the error of each set-point by itself, with its key."""
+        for key, value in self.values.items():
+            name, _, quantity = str(key).rpartition(".")
+            position = network.tables[_KINDS[quantity]].position if quantity in _KINDS else {}
+            try:
+                _numbers(key, value)
+            except ModelError as error:
+                yield error
+            if quantity not in _KINDS:
+                yield ModelError(
+                    f"set-point {key!r}: no such quantity; {nearest(quantity, _KINDS)}", str(key)
+                )
+            elif name not in position:
+                near = nearest(name, position)
+                yield ModelError(
+                    f"set-point {key!r}: no such {_KINDS[quantity]} in service; {near}", str(key)
+                )
 
 
 class SetpointTracking(Objective):
@@ -163,14 +177,16 @@ def _numbers(key: str, value: npt.ArrayLike) -> Array:
             raise TypeError
     except (TypeError, ValueError, OverflowError):
         raise ModelError(
-            f"set-point {key!r}: {shown(value)}: must be a number, or one number per step"
+            f"set-point {key!r}: {shown(value)}: must be a number, or one number per step", str(key)
         ) from None
     if array.ndim != 1 or not array.size:
-        raise ModelError(f"set-point {key!r}: must be one number per step, not shape {array.shape}")
+        raise ModelError(f"set-point {key!r}: must be one number per step, not shape {array.shape}", str(key))
     sound = np.abs(array) <= LARGEST
     if not sound.all():
         step = int(np.argmin(sound))
         raise ModelError(
-            f"set-point {key!r}: step {step}: {array[step]:g}: must be a finite number of at most {LARGEST:g}"
+            f"set-point {key!r}: step {step}: {array[step]:g}: must be a finite number "
+            f"of at most {LARGEST:g}",
+            str(key),
         )
     return array

@@ -5,14 +5,14 @@ from __future__ import annotations
 import inspect
 import json
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from opfmodel.data.faults import fault_message
-from opfmodel.errors import PluginError, nearest, shown
+from opfmodel.errors import OpfmodelError, PluginError, close, nearest, raise_all, shown
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -163,7 +163,8 @@ def make(
     ------
     PluginError
         The plugin or an option is unknown, a required option is missing, or a value has the wrong type.
-        The attribute ``option`` names the option that is unknown or has the wrong type.
+        The attribute ``option`` names the option that is unknown or has the wrong type; ``others`` has the
+        errors of the other options.
     """
     from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -175,25 +176,38 @@ def make(
     }
     hints = get_type_hints(cls.__init__, include_extras=True)
     checked = {}
-    for key, value in options.items():
-        if key not in accepted:
-            known = nearest(key, (*accepted, *beside))
-            raise PluginError(f"{called} has no option {key!r}; {known}", key)
-        hint = hints.get(key, Any)
-        converter = (convert or {}).get(hint)
-        try:
+
+    def errors() -> Iterator[PluginError]:
+        misplaced = [key for key in options if key not in accepted and close(key, beside)]
+        for key, value in options.items():
+            if misplaced and key not in misplaced:
+                continue  # its plugin may be another one
+            if key not in accepted:
+                known = nearest(key, (*accepted, *beside))
+                yield PluginError(f"{called} has no option {key!r}; {known}", key)
+                continue
+            hint = hints.get(key, Any)
+            converter = (convert or {}).get(hint)
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
-            checked[key] = _validated(adapter, value if converter is None else converter(value), context)
-        except ValidationError as error:
-            fault = error.errors()[0]
-            path, at = _path(value, fault["loc"])
-            named = ".".join(str(part) for part in (key, *path))
-            raise PluginError(
-                f"{called}: {named} = {shown(at)}: {fault_message(fault)}", key, *path
-            ) from None
-    missing = [k for k, p in accepted.items() if p.default is p.empty and k not in checked]
-    if missing:
-        raise PluginError(f"{called} requires the option {missing[0]!r}")
+            try:
+                plain = value if converter is None else converter(value)
+                checked[key] = _validated(adapter, plain, context)
+            except ValidationError as error:
+                fault = error.errors()[0]
+                path, at = _path(value, fault["loc"])
+                named = ".".join(str(part) for part in (key, *path))
+                yield PluginError(f"{called}: {named} = {shown(at)}: {fault_message(fault)}", key, *path)
+            except OpfmodelError as error:
+                for each in (error, *error.others):
+                    yield PluginError(str(each), key, *each.key)
+        required = [k for k, p in accepted.items() if p.default is p.empty]
+        missing = [] if misplaced else [k for k in required if k not in options]
+        misspelt = {known for k in options if k not in accepted for known in close(k, accepted)}
+        for key in missing:
+            if key not in misspelt:
+                yield PluginError(f"{called} requires the option {key!r}")
+
+    raise_all(errors())
     return cls(**checked)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from opfmodel.data.columns import Columns
 from opfmodel.data.grid import Grid
 from opfmodel.data.series import SeriesKey
-from opfmodel.errors import ProfileError, nearest
+from opfmodel.errors import ProfileError, nearest, raise_all
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
 
@@ -79,9 +80,15 @@ class Workbook:
     def loads(self, names: list[str] | None) -> list[str]:
         """Check and return names of loads; None stands for all."""
         known = self.network.of(Load)
-        for name in names or ():
-            if name not in known:
-                raise ProfileError(f"no load is named {name!r}; {nearest(name, known)}")
+
+        def errors() -> Iterator[ProfileError]:
+            for number, name in enumerate(names or ()):
+                if name not in known:
+                    error = ProfileError(f"no load is named {name!r}; {nearest(name, known)}")
+                    error.key = ("loads", number)
+                    yield error
+
+        raise_all(errors())
         return list(known) if names is None else names
 
 

@@ -64,7 +64,8 @@ class Step(ProfileRule):
             if self.add is None:
                 factor = np.full_like(p[window], self.factor)
             elif (p[window] == 0).any():
-                raise ProfileError(f"load {load!r} has zero active demand and thus no power factor to keep")
+                fault = f"load {load!r} has zero active demand and thus no power factor to keep"
+                raise ProfileError(fault, (load, "p"))
             else:
                 factor = 1.0 + self.add / p[window]
             p[window] *= factor

@@ -5,7 +5,8 @@ from __future__ import annotations
 from opfmodel.data.columns import read_columns, separator_hint
 from opfmodel.data.resampling import Resample
 from opfmodel.data.series import SeriesKey
-from opfmodel.errors import ProfileError, nearest
+from opfmodel.errors import ProfileError, raise_all
+from opfmodel.network.series import faults_of_keys
 from opfmodel.profiles.base import ProfileRule, Workbook
 
 __all__ = ["Table"]
@@ -42,17 +43,11 @@ class Table(ProfileRule):
         path = book.folder / self.file
         read = read_columns(path, book.steps, unlimited=True, time_column=self.time_column, fewer=True)
         columns = book.grid.fit(read, self.resample)
-        for heading, values in columns.values.items():
-            key = SeriesKey.of(heading)
-            if key.component not in book.network:
-                near = nearest(key.component, book.network)
-                raise ProfileError(
-                    f"{path}: column {heading!r}: the network has no component {key.component!r}; {near}"
-                    f"{separator_hint(columns.values)}"
-                )
-            try:
-                book.network[key.component].constant(key.field)
-            except ProfileError as error:
-                raise ProfileError(f"{path}: column {heading!r}: {error}") from error
-            book.set(key.component, key.field, values)
+        keys = {SeriesKey.of(heading): heading for heading in columns.values}
+        raise_all(
+            ProfileError(f"{path}: column {keys[key]!r}: {fault}{separator_hint(columns.values)}")
+            for key, fault in faults_of_keys(keys, book.network)
+        )
+        for key, heading in keys.items():
+            book.set(key.component, key.field, columns.values[heading])
             book.sources[key] = columns

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from opfmodel.data.grid import Grid
 from opfmodel.errors import (
     ConstraintError,
-    IncompatibleError,
     ModelError,
+    OpfmodelError,
     ProfileError,
     QuantityError,
+    raise_all,
 )
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
@@ -26,22 +28,21 @@ __all__ = ["check_constraints", "read_constraints"]
 
 
 def read_constraints(document: Document, settings: ScenarioFile, grid: Grid) -> dict[str, CustomConstraint]:
-    """Return the constraints of a file, by name.
+    """Return the constraints of a file, by name; those with faulty limits have others, to check terms.
 
     Parameters
     ----------
     grid
         The steps that limits cover.
-
-    Raises
-    ------
-    ScenarioError
-        A constraint is malformed.
     """
-    made = {}
-    for name, values in settings.constraints.items():
-        with document.located("constraints", name):
-            made[name] = _constraint(name, values, grid, document.path.parent)
+    made: dict[str, CustomConstraint] = {}
+    for name, section in settings.constraints.items():
+        if not document.faults.broken("constraints", name):
+            with document.faults, document.located("constraints", name):
+                made[name] = _constraint(name, section, grid, document.path.parent)
+        if name not in made:
+            with suppress(ConstraintError):
+                made[name] = CustomConstraint.of(name, Linear(section.terms), at_least=0.0)
     return made
 
 
@@ -61,7 +62,21 @@ def _constraint(name: str, section: ConstraintSection, grid: Grid, folder: Path)
         The constraint is malformed; the error carries the key.
     """
     stated = {"at_least": section.at_least, "at_most": section.at_most, "equal": section.equal}
-    limits = {key: _limit(value, key, grid, folder) for key, value in stated.items() if value is not None}
+    limits: dict[str, float | list[float]] = {}
+
+    def errors() -> Iterator[OpfmodelError]:
+        for key, value in stated.items():
+            try:
+                if value is not None:
+                    limits[key] = _limit(value, key, grid, folder)
+            except ConstraintError as error:
+                yield error
+        try:
+            Linear(section.terms)
+        except ConstraintError as error:
+            yield from (error, *error.others)
+
+    raise_all(errors())
     if not limits:
         raise ConstraintError("needs a limit: at_least, at_most or equal")
     if "equal" in limits:
@@ -95,31 +110,31 @@ def _limit(
 def check_constraints(
     document: Document, constraints: Mapping[str, CustomConstraint], problem: MultiStage
 ) -> None:
-    """Check that every term exists in the network and is published by the formulation.
+    """Collect the faults of terms that do not exist or that the formulation does not publish.
 
-    Errors carry the position of the term. Terms that only this formulation lacks are reported last.
+    They carry the position of the term.
     """
     if not constraints:
         return
     bare = problem.variant(elastic=None, objective=Economic())  # avoids solving for set-points
-    with document.located("controller"):
-        model = bare.declare(Horizon.chain(1, problem.step))
-    stage: Any = PhysicalStage(model)
-    unpublished: dict[tuple[str, ...], ModelError] = {}
-    for name, constraint in constraints.items():
-        missing: dict[tuple[str, ...], ModelError] = {}
-        with document.located("constraints", name):
-            linear = constraint.state
-            assert isinstance(linear, Linear)
-            constraint.check_price(model)
-            for key in linear.terms:
-                try:
-                    linear.term(stage, key)
-                except QuantityError as error:
-                    missing["constraints", name, "terms", key] = problem.explain(error)
-            if not missing:
+    with document.faults:
+        with document.located("controller"):
+            model = bare.declare(Horizon.chain(1, problem.step))
+        stage: Any = PhysicalStage(model)
+        for name, constraint in constraints.items():
+            with document.faults, document.located("constraints", name):
+                linear = constraint.state
+                assert isinstance(linear, Linear)
+                constraint.check_price(model)
+                raise_all(_errors_of_terms(linear, stage, problem))
                 linear(stage)
-        unpublished |= missing
-    for where, fault in sorted(unpublished.items(), key=lambda item: isinstance(item[1], IncompatibleError)):
-        with document.located(*where):
-            raise fault
+
+
+def _errors_of_terms(linear: Linear, stage: Any, problem: MultiStage) -> Iterator[ModelError]:
+    for key in linear.terms:
+        try:
+            linear.term(stage, key)
+        except ModelError as error:
+            found = problem.explain(error) if isinstance(error, QuantityError) else error
+            found.key = ("terms", key)
+            yield found

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from opfmodel import plugins
 from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
-from opfmodel.errors import ModelError, ProfileError
+from opfmodel.errors import ModelError, ProfileError, ScenarioError, nearest, shown
 from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
 from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import per_unit
@@ -20,53 +22,112 @@ from opfmodel.network.network import Network
 from opfmodel.network.quantities import Basis
 from opfmodel.network.series import check_finite, check_series
 from opfmodel.objectives.base import Objective, WeightedSum
+from opfmodel.objectives.economic import Economic
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
-from opfmodel.profiles.base import Workbook
-from opfmodel.scenario.document import Document, check_printable
+from opfmodel.profiles.base import ProfileRule, Workbook
+from opfmodel.scenario.document import Document, check_printable, colon_hint
 from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ScenarioFile, Spec
 from opfmodel.simulation import Plant
 
 __all__ = [
+    "Rule",
     "make_forecast",
     "make_horizon",
     "make_objective",
     "make_plant",
     "make_profiles",
+    "make_rules",
     "make_scenarios",
     "planned_objective",
 ]
 
 
-def make_profiles(document: Document, settings: ScenarioFile, network: Network, grid: Grid) -> Profiles:
+@dataclass(frozen=True)
+class Rule:
+    """A profile rule of a file, with its path of keys."""
+
+    key: tuple[str | int, ...]
+    rule: ProfileRule
+
+
+def make_rules(document: Document, settings: ScenarioFile, network: Network) -> list[Rule]:
+    """Create the profile rules, without those that have a fault."""
+    rules, basis = [], settings.basis._replace(base_mva=network.base_mva)
+    for number, spec in enumerate(settings.profiles):
+        key = ("profiles", number)
+        if document.faults.broken(*key):
+            continue
+        with document.faults:
+            name, options = _single(document, key, spec, "profile")
+            with document.located(*key, name):
+                made = plugins.make("profile", name, options, context=basis)
+                rules.append(Rule((*key, name), made))
+    return rules
+
+
+def make_profiles(
+    document: Document,
+    settings: ScenarioFile,
+    network: Network,
+    grid: Grid,
+    rules: Iterable[Rule],
+) -> Profiles:
     """Build the time series by applying the profile rules of the file to those attached to the network.
+
+    If there is a fault in the network, in a rule or in the length of the series, the rules behind it are
+    applied in order to check the names in them; errors in values would only follow from that fault.
 
     Parameters
     ----------
     grid
         The steps that they cover; the first series with time stamps completes it.
     """
-    _check_size(document, settings, network)
+    faults = document.faults
+    sections = ("network", "time", "controller", "profiles")
+    with faults:
+        _check_size(document, settings, network)
     book = Workbook(network, grid, document.path.parent)
-    try:
-        book.series |= grid.take(network.profiles)
-    except ProfileError as error:
-        raise document.error(("time", "steps"), f"time series of the network: {error}") from error
-    basis = settings.basis._replace(base_mva=network.base_mva)
-    for number, spec in enumerate(settings.profiles):
-        key = ("profiles", number)
-        name, options = _single(document, key, spec)
-        before = dict(book.series)
-        with document.located(*key, name), _sourced(book):
-            plugins.make("profile", name, options, context=basis).apply(book)
+    if not faults.broken("time"):
+        with faults, document.located("time", "steps"):
+            book.series |= _attached(network, grid)
+    for each in rules:
+        sound = not any(map(faults.broken, sections))
+        with faults, document.located(*each.key), _sourced(book), _checked(sound), document.warned(*each.key):
+            before = dict(book.series)
+            each.rule.apply(book)
             changed = {k: values for k, values in book.series.items() if before.get(k) is not values}
             check_finite(Profiles(changed), network)
-    with document.located("profiles"), _sourced(book):
+    if any(map(faults.broken, sections)):
+        return Profiles()
+    with faults, document.located("profiles"), _sourced(book):
         made = Profiles({key: values[: grid.steps] for key, values in book.series.items()}, grid.calendar)
         made.repeats = grid.at_end == "repeat"
         check_series(made, network)
         return made
+    return Profiles()
+
+
+@contextmanager
+def _checked(sound: bool) -> Iterator[None]:
+    """Drop what follows from an earlier fault: errors about values, and warnings."""
+    with warnings.catch_warnings():
+        if not sound:
+            warnings.simplefilter("ignore")
+        try:
+            yield
+        except ProfileError as error:
+            if sound or error.series is None:
+                raise
+
+
+def _attached(network: Network, grid: Grid) -> Profiles:
+    """Return the time series attached to the network, for the steps."""
+    try:
+        return grid.take(network.profiles)
+    except ProfileError as error:
+        raise ProfileError(f"time series of the network: {error}") from error
 
 
 def _check_size(document: Document, settings: ScenarioFile, network: Network) -> None:
@@ -85,7 +146,10 @@ def _sourced(book: Workbook) -> Iterator[None]:
     try:
         yield
     except ProfileError as error:
-        raise ProfileError(f"{book.source(error)}{error}") from error
+        for each in (error, *error.others):
+            if isinstance(each, ProfileError):
+                each.args = (f"{book.source(each)}{each}",)
+        raise
 
 
 def make_objective(
@@ -95,7 +159,7 @@ def make_objective(
     basis: Basis,
     convert: Mapping[Any, Callable[[Any], Any]] | None = None,
 ) -> Objective:
-    """Create an objective, or the weighted sum of several.
+    """Create an objective, or the weighted sum of several; the default in place of one with a fault.
 
     Parameters
     ----------
@@ -106,70 +170,80 @@ def make_objective(
     convert
         Converters from values of the file to objects, by type; see :func:`opfmodel.plugins.make`.
     """
+    made: Objective = Economic()
+    if document.faults.broken(*key):
+        return made
     if not isinstance(spec, list):
-        name, options = _single(document, key, spec)
-        with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
-            made = plugins.make("objective", name, options, convert, context=basis)
-            assert isinstance(made, Objective)
-            return made
+        with document.faults:
+            name, options = _single(document, key, spec, "objective", *(("weight",) if key[1:] else ()))
+            with document.located(*key, *((name,) if isinstance(spec, dict) else ())):
+                made = plugins.make("objective", name, options, convert, context=basis)
+        return made
     parts: list[tuple[float, Objective]] = []
     for number, part in enumerate(spec):
         rest = part if isinstance(part, str) else {k: v for k, v in part.items() if k != "weight"}
         weight = 1.0 if isinstance(part, str) else part.get("weight", 1.0)
-        with document.located(*key, number, "weight"):
-            weight = number_within("weight", weight, at_least=0)
-        parts.append((weight, make_objective(document, (*key, number), rest, basis, convert)))
-    if not parts:
-        raise document.error(key, "needs at least one objective")
-    return WeightedSum(parts)
+        made = make_objective(document, (*key, number), rest, basis, convert)
+        with document.faults, document.located(*key, number, "weight"):
+            parts.append((number_within("weight", weight, at_least=0), made))
+    if not spec:
+        document.faults.add(document.fault(key, "needs at least one objective"))
+    return WeightedSum(parts) if parts else made
 
 
-def make_forecast(document: Document, settings: ScenarioFile) -> Forecast:
-    """Create the controller's forecast of the series."""
-    name, options = _single(document, ("forecast",), settings.forecast)
-    key = ("forecast", name) if isinstance(settings.forecast, dict) else ("forecast",)
-    with document.located(*key):
-        made = plugins.make(
-            "forecast",
-            name,
-            options,
-            {Path: lambda value: document.path.parent / str(value)},
-            context=settings.basis,
-        )
-        assert isinstance(made, Forecast)
-        return made
+def make_forecast(document: Document, settings: ScenarioFile) -> Forecast | None:
+    """Create the controller's forecast of the series; None if there is a fault."""
+    if document.faults.broken("forecast"):
+        return None
+    with document.faults:
+        name, options = _single(document, ("forecast",), settings.forecast, "forecast")
+        with document.located("forecast", *((name,) if isinstance(settings.forecast, dict) else ())):
+            made: Forecast = plugins.make(
+                "forecast",
+                name,
+                options,
+                {Path: lambda value: document.path.parent / str(value)},
+                context=settings.basis,
+            )
+            return made
+    return None
 
 
 def make_scenarios(document: Document, settings: ScenarioFile) -> Scenarios | None:
-    """Create the futures that the controller plans for; None for the forecast alone."""
+    """Create the futures that the controller plans for; None for the forecast alone or with a fault."""
     section, at = settings.controller.scenarios, ("controller", "scenarios")
-    if section is None:
+    if section is None or document.faults.broken(*at):
         return None
     cases = {}
     for case, stated in section.cases.items():
-        check_printable(document, (*at, "cases", case), case)
+        with document.faults:
+            check_printable(document, (*at, "cases", case), case)
         rules = []
         for number, spec in enumerate(stated.profiles):
             key = (*at, "cases", case, "profiles", number)
-            name, options = _single(document, key, spec)
-            with document.located(*key, name):
-                rules.append(plugins.make("profile", name, options))
+            with document.faults:
+                name, options = _single(document, key, spec, "profile")
+                with document.located(*key, name):
+                    rules.append(plugins.make("profile", name, options))
         cases[case] = Case(stated.probability, rules)
-    with document.located(*at):
+    with document.faults, document.located(*at):
         draw = None if section.draw is None else Draw(**section.draw.model_dump())
         return Scenarios(section.common, cases, draw, document.path.parent)
+    return None
 
 
 def make_horizon(document: Document, settings: ScenarioFile, scenarios: Scenarios | None) -> Horizon:
-    """Create the nodes in time of the plans."""
+    """Create the nodes in time of the plans; a single one if there is a fault."""
     step = settings.time.step
     hours = settings.controller.lengths(step)
-    with document.located("controller", "horizon"):
-        grid = Horizon.grid(hours, step)
-    if scenarios is None:
-        return grid
-    with document.located("controller", "scenarios"):
-        return scenarios.horizon(hours, step)
+    made = Horizon.chain(1, step)
+    with document.faults:
+        with document.located("controller", "horizon"):
+            made = Horizon.grid(hours, step)
+        if scenarios is not None:
+            with document.located("controller", "scenarios"):
+                made = scenarios.horizon(hours, step)
+    return made
 
 
 def make_plant(settings: ScenarioFile) -> Plant:
@@ -239,14 +313,28 @@ def _setpoints(
 
 
 def _single(
-    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any]
+    document: Document, key: tuple[str | int, ...], spec: str | dict[str, Any], sort: str, *beside: str
 ) -> tuple[str, dict[str, Any]]:
-    """Return name and options of a plugin, given as ``name`` or ``{name: {option: value}}``."""
+    """Return name and options of a plugin, given as ``name`` or ``{name: {option: value}}``.
+
+    Parameters
+    ----------
+    sort
+        Sort of the plugin.
+    beside
+        Other keys that are accepted next to the name.
+    """
     if isinstance(spec, str):
         return spec, {}
     if len(spec) != 1:
+        strange = [name for name in spec if name not in plugins.plugins(sort)]
+        if len(strange) == len(spec) - 1 and beside:
+            raise ScenarioError(
+                *(document.fault((*key, name), f"unknown key; {nearest(name, beside)}") for name in strange)
+            )
         raise document.error(key, f"must be a name, or one name with its options, not {len(spec)} keys")
     name, options = next(iter(spec.items()))
     if options is not None and not isinstance(options, dict):
-        raise document.error((*key, name), "the options must be a mapping")
+        hint = colon_hint(options)
+        raise document.error((*key, name), f"{shown(options)}: the options must be a mapping{hint}")
     return name, options or {}

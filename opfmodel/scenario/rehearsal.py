@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
@@ -25,27 +27,31 @@ def rehearse(scenario: Scenario) -> None:
     Raises
     ------
     ScenarioError
-        A run would be refused; the message gives the position of the part that cannot be used.
+        A run would be refused; the message gives the position of every part that cannot be used.
     """
-    document, settings = scenario.document, scenario.settings
+    scenario = replace(scenario, document=scenario.document.collecting())
+    document, faults = scenario.document, scenario.document.faults
     objective = planned_objective(
         document,
-        settings,
+        scenario.settings,
         scenario.network,
         scenario.cost,
         scenario.grid,
         lambda: _stand_in(scenario.problem.arrays),
     )
     problem = scenario.problem.variant(elastic=None, objective=objective)
-    with document.located("time", "steps"):
+    with faults, document.located("time", "steps"):
         problem.check_lengths(scenario.steps, scenario.cost)
-    with document.located("controller"):
+    with faults, document.located("controller"):
         check_first_stage(problem)
-    _compile(scenario, problem.variant(elastic=None, horizon=Horizon.chain(1, problem.step)))
+    with faults:
+        _compile(scenario, problem.variant(elastic=None, horizon=Horizon.chain(1, problem.step)))
     if scenario.starts_from_single_stage:
-        with document.located("cost"):
+        with faults, document.located("cost"):
             scenario.single_stage().compile()
-    scenario.check_forecast()
+    with faults:
+        scenario.check_forecast()
+    faults.settle()
 
 
 def _compile(scenario: Scenario, problem: MultiStage) -> None:
@@ -55,11 +61,11 @@ def _compile(scenario: Scenario, problem: MultiStage) -> None:
     try:
         problem.compile()
     except SolverError as error:
-        raise document.error(("controller", "solver"), str(error)) from error
+        raise document.error(("controller", "solver"), str(error), error) from error
     except IncompatibleError as error:
-        raise document.error(planned, str(error)) from error
+        raise document.error(planned, str(error), error) from error
     except ModelError as error:
-        raise document.error(("controller",), str(error)) from error
+        raise document.error(("controller",), str(error), error) from error
 
 
 def _stand_in(network: PerUnitNetwork) -> Setpoints:

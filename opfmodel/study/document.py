@@ -6,14 +6,14 @@ import itertools
 import json
 import math
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from opfmodel.errors import IncompatibleError, ScenarioError
+from opfmodel.errors import Fault, IncompatibleError, ScenarioError, shown
 from opfmodel.scenario import laid_over, load_scenario
 from opfmodel.scenario.document import Document, check_name, check_printable, read_document, validated
 from opfmodel.study.files import check_relative
@@ -146,6 +146,7 @@ def read_study(path: str | Path) -> Study:
         file, line and column.
     """
     document = read_document(path)
+    faults = document.faults
     if not isinstance(document.content, dict):
         raise document.error((), "a study is a mapping with the keys 'scenario' and 'vary'")
     if "network" in document.content:
@@ -153,28 +154,35 @@ def read_study(path: str | Path) -> Study:
     file = validated(document, document.content, StudyFile)
     for key in ("scenario", "variant"):
         if key in file.set:
-            raise document.error(("set", key), "is a key of the study; move it out of 'set'")
-    _check_bundle(document, ("set",), file.set)
+            faults.add(document.fault(("set", key), "is a key of the study; move it out of 'set'"))
+    with faults:
+        _check_bundle(document, ("set",), file.set)
     base = {"scenario": file.scenario, "variant": file.variant, **file.set}
-    axes = tuple(_axis(document, name, content) for name, content in file.vary.items())
-    _check_axes(document, axes)
-    if file.scenario is None and not any("scenario" in changes for a in axes for changes in a.changes):
-        raise document.error(("scenario",), "this key is missing")
+    made = (_axis(document, name, content) for name, content in file.vary.items())
+    axes = tuple(axis for axis in made if axis is not None)
+    with faults:
+        _check_axes(document, axes)
+    varied = any("scenario" in changes for axis in axes for changes in axis.changes)
+    if not (file.scenario or varied or faults.broken("scenario") or faults.broken("vary")):
+        faults.add(document.fault(("scenario",), "this key is missing"))
     runs = math.prod(len(axis.labels) for axis in axes)
     if runs > _MOST_RUNS:
-        raise document.error(("vary",), f"the grid has {runs:,} runs; at most {_MOST_RUNS:,} are accepted")
+        message = f"the grid has {runs:,} runs; at most {_MOST_RUNS:,} are accepted"
+        faults.add(document.fault(("vary",), message))
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
     study = Study(name, document.path, base, axes)
+    faults.settle()
     _Trial(document, study).check()
+    faults.settle()
     return study
 
 
-def _axis(document: Document, name: str, content: Any) -> Axis:
-    """Build an axis from a list of values of one key, or from named sets of keys."""
+def _axis(document: Document, name: str, content: Any) -> Axis | None:
+    """Build an axis from a list of values of one key, or from named sets of keys; None if it is neither."""
     key: Key = ("vary", name)
     labels: tuple[Any, ...]
-    changes: tuple[Changes, ...]
+    changes: tuple[Any, ...]
     if isinstance(content, list):
         labels, places = tuple(_label(value) for value in content), tuple(range(len(content)))
         changes = tuple({name: value} for value in content)
@@ -182,21 +190,26 @@ def _axis(document: Document, name: str, content: Any) -> Axis:
         labels = places = tuple(content)
         changes = tuple(content.values())
     else:
-        raise document.error(key, "must be a list of values, or a mapping from names to sets of keys")
-    if not labels:
-        raise document.error(key, "needs at least one value")
-    check_printable(document, key, name)
+        message = f"{shown(content)}: must be a list of values, or a mapping from names to sets of keys"
+        document.faults.add(document.fault(key, message))
+        return None
+    with document.faults:
+        if not labels:
+            raise document.error(key, "needs at least one value")
+        check_printable(document, key, name)
     positions = tuple((*key, place) for place in places)
     known: set[tuple[type, Any]] = set()  # with the type: 1 == True
     for position, label, bundle in zip(positions, labels, changes, strict=True):
-        check_printable(document, position, str(label))
-        if not isinstance(bundle, dict):
-            raise document.error(position, "must be a mapping from dotted keys to values")
-        _check_bundle(document, position, bundle)
-        if (type(label), label) in known:
-            raise document.error(position, f"{label!r} is listed twice")
-        known.add((type(label), label))
-    return Axis(name, labels, changes, positions)
+        with document.faults:
+            check_printable(document, position, str(label))
+            if not isinstance(bundle, dict):
+                raise document.error(position, "must be a mapping from dotted keys to values")
+            _check_bundle(document, position, bundle)
+            if (type(label), label) in known:
+                raise document.error(position, f"{label!r} is listed twice")
+            known.add((type(label), label))
+    mappings = tuple(bundle if isinstance(bundle, dict) else {} for bundle in changes)
+    return Axis(name, labels, mappings, positions)
 
 
 def _label(value: Any) -> Any:
@@ -281,45 +294,47 @@ class _Trial:
         self.scenarios: dict[Path, Document] = {}
 
     def check(self) -> None:
-        """Raise the first error, located at the line of the study that caused it."""
+        """Collect the faults of the scenario, located at the line of the study that caused them."""
         study, origin = self.study, (0,) * len(self.study.axes)
-        error = self.refusal(study.variation(origin))
-        if error is not None:
-            raise self.document.error(self.culprit(), str(error)) from error
+        common = left = self.faults(study.variation(origin))
+        for key, variation in self.prefixes() if common else ():
+            found = self.faults(variation)
+            self.blame(key, [fault for fault in left if fault in found])
+            left = [fault for fault in left if fault not in found]
         for number, axis in enumerate(study.axes):
             for place in range(1, len(axis.labels)):
                 point = (*origin[:number], place, *origin[number + 1 :])
-                error = self.refusal(study.variation(point))
-                if error is not None:
-                    raise self.document.error(axis.positions[place], str(error)) from error
+                found = self.faults(study.variation(point))
+                self.blame(axis.positions[place], [fault for fault in found if fault not in common])
 
-    def culprit(self) -> Key:
-        """Return what makes the first run invalid: the scenario, ``set``, or the first point of an axis."""
+    def prefixes(self) -> Iterator[tuple[Key, Variation]]:
+        """Yield what is added one by one to the scenario in the first run, with the variation so far."""
         study = self.study
-        bare = {key: study.base[key] for key in ("scenario", "variant")}
-        if study.base["scenario"] is not None:
-            if self.refusal(replace(study, base=bare).variation(())) is not None:
-                return ("scenario",)
-            if self.refusal(study.variation(())) is not None:
-                return ("set",)
-        for number, axis in enumerate(study.axes[:-1]):
-            point = (0,) * (number + 1)
-            known = study.base["scenario"] is not None or any(
-                "scenario" in a.keys for a in study.axes[: number + 1]
-            )
-            if known and self.refusal(study.variation(point)) is not None:
-                return axis.positions[0]
-        return study.axes[-1].positions[0]
+        known = study.base["scenario"] is not None
+        if known:
+            bare = {key: study.base[key] for key in ("scenario", "variant")}
+            yield ("scenario",), replace(study, base=bare).variation(())
+            yield ("set",), study.variation(())
+        for number, axis in enumerate(study.axes):
+            known = known or "scenario" in axis.keys
+            if known:
+                yield axis.positions[0], study.variation((0,) * (number + 1))
 
-    def refusal(self, variation: Variation) -> ScenarioError | None:
-        """Return the error with which a scenario or a study rejects a variation, if any."""
+    def blame(self, key: Key, faults: Iterable[Fault]) -> None:
+        """Collect faults of a scenario at a key of the study."""
+        for fault in faults:
+            said = str(fault) if fault.line is not None or not fault.key else fault.statement
+            self.document.faults.add(self.document.fault(key, said, fault.cause))
+
+    def faults(self, variation: Variation) -> list[Fault]:
+        """Return why a scenario or a study rejects a variation, unless parts of it cannot be combined."""
         try:
             scenario = self.scenario(variation.scenario)
             load_scenario(scenario, variation.variant, variation.overrides)
             check_relative(scenario, laid_over(scenario, variation.variant, variation.overrides))
         except ScenarioError as error:
-            return None if isinstance(error.__cause__, IncompatibleError) else error
-        return None
+            return [fault for fault in error.faults if not isinstance(fault.cause, IncompatibleError)]
+        return []
 
     def scenario(self, path: Path) -> Document:
         """Return the content of a scenario file."""

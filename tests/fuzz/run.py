@@ -119,7 +119,7 @@ class Worker:
         place(files, given)
         value = files.get("value", b"")
         text = os.fsdecode(value.replace(b"\0", b"")) if isinstance(value, bytes) else ""
-        arguments = [str(out) if word == OUT else text if word == VALUE else word for word in command]
+        arguments = [text if word == VALUE else word.replace(OUT, str(out)) for word in command]
         before = _listing(self.folder, out)
         reply = self._ask(process, {"arguments": arguments, "folder": str(given), "out": str(out)})
         printed = [_read(self.folder / name) for name in ("stdout", "stderr")]
