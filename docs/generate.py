@@ -28,12 +28,12 @@ _LINKS = {
     "network": "[Network](#network)",
     "network.file": "[inputs.md](inputs.md)",
     "network.lossy": "[inputs.md](inputs.md#what-is-refused)",
-    "profiles": "[Profile rules](#profile-rules)",
-    "cost": "[Objectives](#objectives)",
     "time.start": "[Time](inputs.md#time)",
     "time.at_end": "[The end of the data](inputs.md#the-end-of-the-data)",
     "controller.horizon.hours": "[uncertainty.md](uncertainty.md#uneven-steps)",
     "controller.scenarios": "[uncertainty.md](uncertainty.md)",
+    "profiles": "[Profile rules](#profile-rules)",
+    "cost": "[Objectives](#objectives)",
     "controller.formulation": "[backends.md](backends.md)",
     "controller.generator_delay": "[model.md](model.md)",
     "controller.on_infeasible": "[plants.md](plants.md#elastic-problems)",
@@ -43,6 +43,7 @@ _LINKS = {
     "constraints": "[Constraints](#constraints)",
     "variants": "[studies](studies.md), which have no such limit",
 }
+_LIKE_AT_LEAST = ("constraints.NAME.at_most.", "constraints.NAME.equal.")  # their keys are listed once
 _TYPES = {"string": "text", "object": "mapping", "array": "list"}
 
 
@@ -53,9 +54,17 @@ def generated() -> dict[Path, str]:
         ROOT / "scenarios" / f"{name}.schema.json": json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
         for name, schema in schemas.items()
     }
+
+    def of_constraint(key: str) -> bool:
+        return key.startswith("constraints.NAME.") and not key.startswith(_LIKE_AT_LEAST)
+
+    def of_scenario(key: str) -> bool:
+        return not key.startswith(("network.", "constraints."))
+
     tables: dict[str, Callable[[], str]] = {
-        "keys of a scenario": lambda: _keys(schemas["scenario"], lambda key: not key.startswith("network.")),
+        "keys of a scenario": lambda: _keys(schemas["scenario"], of_scenario),
         "keys of a network": lambda: _keys(schemas["scenario"], lambda key: key.startswith("network.")),
+        "keys of a constraint": lambda: _keys(schemas["scenario"], of_constraint),
         "keys of a study": lambda: _keys(schemas["study"], lambda _: True),
         "fields of components": _fields,
     }
@@ -104,7 +113,7 @@ def _field(kind: type[Component], name: str, item: Field[Any]) -> tuple[str, ...
 
 def _keys(schema: dict[str, Any], chosen: Callable[[str], bool]) -> str:
     rows = [("key", "type", "unit", "default", "meaning")]
-    for key, value in section_keys(schema, schema["properties"]).items():
+    for key, value in section_keys(schema, schema["properties"], named=True).items():
         if chosen(key) and (key == "network" or not value.get("$ref", "").endswith("Section")):
             rows.append(_key(schema, key, value))
     return _table(*rows)
@@ -117,13 +126,15 @@ def _key(schema: Mapping[str, Any], key: str, value: Mapping[str, Any]) -> tuple
         meaning += f"; see {_LINKS[key]}"
     owner = schema
     for part in key.split(".")[:-1]:
+        if part == "NAME":
+            continue
         owner = _section(schema, owner["properties"][part])
     required = key.rpartition(".")[2] in owner.get("required", ())
     return f"`{key}`", types, unit, "required" if required else _default(value), meaning
 
 
 def _section(schema: Mapping[str, Any], value: Mapping[str, Any]) -> Mapping[str, Any]:
-    parts = [value, *value.get("anyOf", ())]
+    parts = [value, *value.get("anyOf", ()), *filter(None, [value.get("additionalProperties")])]
     (name,) = (p["$ref"].rpartition("/")[2] for p in parts if p.get("$ref", "").endswith("Section"))
     found: Mapping[str, Any] = schema["$defs"][name]
     return found

@@ -120,23 +120,24 @@ class NetworkSection(Section):
 class TimeSection(Section):
     start: str | None = Field(
         None,
-        description="beginning of the first step, ISO 8601; without an offset it is in the zone; "
-        "by default that of the network's series or of the first file with times, if any",
+        description="beginning of the first step, ISO 8601; without an offset it is in the zone; by default "
+        "that of the network's series, else of the first file with times",
     )
     zone: str | None = Field(
         None,
-        description="time zone of times without an offset and of everything shown, such as Europe/Berlin; "
-        "by default that of the network's series, else UTC",
+        description="time zone of times without an offset and of everything shown, such as `Europe/Berlin`; "
+        "by default that of the network's series, else `UTC`",
     )
     step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = Field(
         1.0,
-        description="length of a stage, from 1e-6 to 1e6; by default that of the network's series or of the "
-        "first file with times, if any",
+        description="length of a stage, from 1e-6 to 1e6 h; if it is not stated, that of the network's "
+        "series or of the first file with times counts",
     )
     steps: int = Field(
         1,
         ge=1,
-        description="steps of the closed loop, at least 1; by default as many as the network's series allow",
+        description="steps of the closed loop, at least 1; if it is not stated, as many as the network's "
+        "series allow",
     )
     at_end: AtEnd = Field("error", description="what plans do that look beyond the data")
 
@@ -175,36 +176,38 @@ class SolverSection(Section):
 class HorizonSection(Section):
     hours: list[Annotated[float, In("h")]] = Field(
         min_length=1,
-        description="lengths of the stages, multiples of the step; in a closed loop the first is one step",
+        description="length of each stage, a multiple of `time.step`; in a closed loop the first is one step",
     )
 
 
 class CaseSection(Section):
-    probability: float = Field(description="probability, above 0; those of all cases sum to 1")
+    probability: float = Field(description="above 0; the probabilities of all cases sum to 1")
     profiles: Annotated[List, Of("profile")] = Field(
-        default_factory=list, description="rules applied to the expected series after the common part"
+        default_factory=list,
+        description="profile rules that change the expected series after the common stages",
     )
 
 
 class DrawSection(Section):
-    number: int = Field(description="paths to draw around the forecast, from its error model")
-    keep: int = Field(description="paths to keep, which stand for all of them")
+    number: int = Field(description="paths to draw")
+    keep: int = Field(description="paths to keep after reduction")
     seed: int = Field(0, description="seed of the random numbers")
 
 
 class RiskSection(Section):
-    level: float = Field(description="share of the scenarios that the tail leaves out, from 0 to below 1")
-    weight: float = Field(
-        description="weight of the mean cost of the tail, from 0 to below 1; that of the mean cost is the rest"
+    level: float = Field(
+        description="plans minimise (1 - `weight`) times the mean plus `weight` times the mean of the worst "
+        "1 - `level` of the scenarios' costs; from 0 to below 1"
     )
+    weight: float = Field(description="weight of the worst costs, from 0 to below 1")
 
 
 class ScenariosSection(Section):
     common: int = Field(
-        1, ge=0, description="stages at the start that all futures share; at least 1 in a closed loop"
+        1, ge=0, description="stages at the beginning that all futures share; at least 1 in a closed loop"
     )
-    cases: dict[str, CaseSection] = Field(default_factory=dict, description="futures by name")
-    draw: DrawSection | None = Field(None, description="futures drawn at random, in place of cases")
+    cases: dict[str, CaseSection] = Field(default_factory=dict, description="named futures")
+    draw: DrawSection | None = Field(None, description="paths drawn from the forecast, in place of cases")
     risk: RiskSection | None = Field(
         None, description="risk aversion; by default plans minimise the expected cost"
     )
@@ -212,10 +215,10 @@ class ScenariosSection(Section):
 
 class ControllerSection(Section):
     horizon: Annotated[int, Field(ge=1)] | HorizonSection = Field(
-        1, description="stages of a plan, at least 1, or their lengths"
+        1, description="stages of a plan, at least 1; or a mapping with `hours`"
     )
     scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = Field(
-        None, description="futures that plans take into account; by default the forecast alone"
+        None, description="futures that plans take into account"
     )
     formulation: Annotated[str, Of("formulation")] = Field(
         "ac", description="equations of the grid in the plans"
