@@ -269,7 +269,7 @@ def test_a_limit_from_a_file(tmp_path: Path) -> None:
     for old, new, message in (
         ("column: export", "column: expert", ":14:32: constraints.export.at_most: .*no column 'expert'"),
         ("limits.csv", "none.csv", "none.csv: no such file"),
-        ("file:", "fiel:", ":14:32: constraints.export.at_most.fi(el|le): "),
+        ("file:", "fiel:", r":14:\d+: constraints.export.at_most.(fiel: .*'file'|file: )"),
     ):
         with pytest.raises(ScenarioError, match=message):
             scenario(tmp_path, text.replace(old, new))
@@ -289,7 +289,7 @@ def test_limits_over_time_may_be_of_different_lengths(tmp_path: Path) -> None:
         ("tie.pf", "tei.pf", ":14:20: constraints.export.terms.tei.pf: .*'tei'; did you mean 'tie'"),
         ("tie.pf", "branches.pf", "constraints.export.terms.branches.pf: .*'branches'; did you mean 'branch'"),
         ("tie.pf", "pf", "write kind.quantity"),
-        ("tie.pf", "tie.ps", "branch has no quantity 'ps' here; available: angle_max, .*, pf, pt, r, rating"),
+        ("tie.pf", "tie.ps", "branch has no quantity 'ps' here; did you mean 'pf' or 'pt'"),
         ("tie.pf", '"t*.vm"', "formulation 'dc' does not publish .*vm; formulations that do: ac, ac-rectangular$"),
         ("tie.pf", "bus.vm", ":14:20: .*formulation 'dc' does not publish bus.vm; formulations that do: ac, ac-"),
         ("tie.pf: 1", "tie.pf: x", ":14:20: constraints.export.terms.tie.pf: 'x': must be a number"),

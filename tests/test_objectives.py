@@ -153,7 +153,7 @@ def test_set_points_move_with_the_horizon() -> None:
     ("setpoints", "message"),
     [
         ({}, "no set-points"),
-        ({"coal.pq": 1}, "'coal.pq': no such quantity; available: e, pg, ps, qg, qs"),
+        ({"coal.pq": 1}, "'coal.pq': no such quantity; did you mean 'pg' or 'ps'"),
         ({"cole.pg": 1}, "'cole.pg': no such generator in service; did you mean 'coal'"),
         ({"coal.pg": [1, 2], "cell.e": [1, 2, 3]}, "'cell.e' has 3 values, but 'coal.pg' has 2"),
         ({"coal.pg": [1, np.nan]}, "'coal.pg': step 1: nan: must be a finite number"),
@@ -169,7 +169,7 @@ def test_set_points_that_do_not_fit(setpoints: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
-        ({"Q": {"pq": 1.0}}, "Q has no quantity 'pq'; available: e, pg, qg"),
+        ({"Q": {"pq": 1.0}}, "Q has no quantity 'pq'; did you mean 'pg'"),
         ({"Q": [[1.0]]}, r"Q has shape \(1, 1\); .*\(3, 3\)"),
         ({"q": {"pg": [1, 2]}}, r"q of pg has shape \(2,\); .*\(1,\)"),
         ({"R": {"ps": "a"}}, "R of ps: must be numbers"),

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.rows import Row, open_rows, where
 from opfmodel.data.stamps import calendar_of, in_utc, is_local, is_stamp, looks_like_date
-from opfmodel.errors import ProfileError
+from opfmodel.errors import ProfileError, nearest
 
 __all__ = ["Columns", "read_columns", "separator_hint"]
 
@@ -209,7 +209,9 @@ def _wanted(path: Path, found: Collection[str], headings: Sequence[str] | None) 
         )
     for heading in wanted:
         if heading not in found:
-            raise ProfileError(f"{path}: no column {heading!r}; {_listing(found)}{separator_hint(found)}")
+            raise ProfileError(
+                f"{path}: no column {heading!r}; {nearest(heading, found)}{separator_hint(found)}"
+            )
     return wanted
 
 

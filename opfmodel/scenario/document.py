@@ -198,14 +198,16 @@ def _separated(
 
     Each branch of a union reports an error; the deepest is the most specific.
     """
-    keys = dict.fromkeys(key for key, _ in entries)
-    for outer in keys:
-        if not any(outer[:length] in keys for length in range(len(outer))):
-            inside = [key for key in keys if key[: len(outer)] == outer]
-            depth = max(map(len, inside))
-            for key in inside:
-                if len(key) == depth:
-                    yield key, [fault for at, fault in entries if at == key]
+    by_key: dict[Key, list[Mapping[str, Any]]] = {}
+    for key, fault in entries:
+        by_key.setdefault(key, []).append(fault)
+    inside: dict[Key, list[Key]] = {}
+    for key in by_key:
+        outer = next(key[:length] for length in range(len(key) + 1) if key[:length] in by_key)
+        inside.setdefault(outer, []).append(key)
+    for keys in inside.values():
+        depth = max(map(len, keys))
+        yield from ((key, by_key[key]) for key in keys if len(key) == depth)
 
 
 def _without(content: Any, key: Key, missing: bool) -> Any:
