@@ -19,7 +19,7 @@ Schema = dict[str, Any]
 
 
 def plugin_schemas(origins: Collection[str] | None) -> dict[str, Schema]:
-    """Return the schemas of the options of plugins, as ``objective-economic``, and of their places."""
+    """Schemas of the options of plugins, as ``objective-economic``, and of the places that choose one."""
     classes: dict[str, dict[str, Any]] = {sort: {} for sort in (*_SORTS, "formulation")}
     for sort, found in classes.items():
         for name, plugin in plugins(sort).items():
