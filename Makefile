@@ -1,13 +1,15 @@
 # make run    install; run the economic NMPC of the 5-bus system; save trajectories and a figure
 # make test   install the test dependencies; run the tests except the slow ones
+# make fuzz   run mutated inputs for SECONDS (300); write the counts to docs/inputs.md
 # make check  check style, types and layers
 # make table  run the closed loops of the paper's four systems; write docs/paper-table.md
 # make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
 # make pglib  solve every available PGLib case; write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
+SECONDS ?= 300
 
-.PHONY: run test test-slow check table bench pglib clean
+.PHONY: run test test-slow fuzz check table bench pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -17,6 +19,9 @@ test: .venv/.test
 
 test-slow: .venv/.slow
 	$(BIN)/python -m pytest -q -m slow
+
+fuzz: .venv/.test
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --docs docs/inputs.md
 
 check: .venv/.check
 	$(BIN)/ruff check .

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -22,6 +23,7 @@ from opfmodel import cli
 from opfmodel.cli import installation
 from opfmodel.data.calendar import Calendar
 from opfmodel.errors import CaseError, CaseWarning, ResultError
+from opfmodel.network.cases.pandapower.write import write_pandapower
 from opfmodel.network.inspection import Inspection, inspect, topology
 from opfmodel.network.layout import positions
 from opfmodel.results.map import save_map
@@ -428,6 +430,59 @@ def test_numbers_that_no_scenario_holds_are_lost(tmp_path: Path) -> None:
         again = om.load_scenario(write_scenario(network, tmp_path / "a.yaml", lossy=True)[0]).network
     network.remove("idle")
     assert contents(again) == contents(network)
+
+
+# pandapower's converter changes some transformers of the 300-bus case; that is found and refused.
+EXACT = [p for p in CASES if not re.search("case300|case118_ieee__", p.stem)]
+NO_POWER_FLOW = {"pglib_opf_case39_epri", "pglib_opf_case3_lmbd"}  # at the set-points of the file
+
+
+def without_angle_limits(network: om.Network) -> om.Network:
+    for name in network.of(om.Branch):
+        network.update(name, angle=(-360.0, 360.0))
+    return network
+
+
+@pytest.mark.parametrize("path", EXACT, ids=lambda p: p.stem)
+def test_a_network_is_read_back_from_pandapower_with_the_same_optimum_and_power_flow(
+    path: Path, tmp_path: Path
+) -> None:
+    network = without_angle_limits(om.read_network(path))
+    with pytest.warns(CaseWarning, match="renamed by pandapower"):
+        again = om.read_network(write_pandapower(network, tmp_path / "grid.json"))
+    assert list(again.of(om.Bus)) == list(network.of(om.Bus))
+    before, after = (om.MultiStage(n).solve() for n in (network, again))
+    assert after.status == before.status == "locally_optimal"
+    assert after.objective == pytest.approx(before.objective, rel=1e-8)
+    flows = [om.power_flow(n) for n in (network, again)]
+    vm, other = (np.array([bus["vm"] for bus in flow.summary()["buses"]]) for flow in flows)
+    assert [flow.converged for flow in flows] == [path.stem not in NO_POWER_FLOW] * 2
+    assert other == pytest.approx(vm, abs=1e-8, nan_ok=True)
+
+
+def test_what_pandapower_cannot_hold_is_refused(call: Call, tmp_path: Path) -> None:
+    grid = sound_grid()
+    grid.update("line", angle=(-20.0, 30.0))
+    grid.update("unit", ramp=7.0)
+    to = tmp_path / "grid.json"
+    with pytest.raises(CaseError) as refused:
+        write_pandapower(grid, to)
+    for what in ("angle limits of line", "ramps of unit", "storages cell"):
+        assert what in str(refused.value)
+    assert not to.exists()
+    with pytest.warns(CaseWarning, match="lost: storages cell"):
+        write_pandapower(grid, to, lossy=True)
+    assert len(om.read_network(to).of(om.Generator)) == 2
+    case = DATA / "pglib" / "pglib_opf_case300_ieee.m"
+    code, _, err = call("convert", case, to)
+    assert code == 2
+    assert "angle limits" in err and "admittances at" in err
+
+
+def test_writing_for_pandapower_needs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandapower", None)
+    with pytest.raises(CaseError, match=r"pip install 'opfmodel\[pandapower\]'"):
+        write_pandapower(sound_grid(), tmp_path / "grid.json")
 
 
 @pytest.mark.parametrize(

@@ -18,14 +18,17 @@ import numpy as np
 import pytest
 from conftest import DATA, ROOT
 from distributions import metadata, visible
+from jsonschema import Draft202012Validator
 from numpy.testing import assert_allclose
 
 import opfmodel as om
 import solvers
 from opfmodel import plugins
 from opfmodel.check import check
+from opfmodel.data.yaml import parse
 from opfmodel.errors import ModelError, PluginError, ScenarioError
 from opfmodel.plugins.catalogue import Entry, catalogue
+from opfmodel.scenario.reference import scenario_schema
 
 SOURCE = ROOT / "tests" / "plugins"
 SUBURB = SOURCE / "suburb.yaml"
@@ -308,6 +311,16 @@ def test_single_stages_are_rejected_when_a_fleet_couples_them(installed: Path) -
     scenario = om.load_scenario(SUBURB)
     with pytest.raises(ModelError, match="fleet carries its level from stage to stage"):
         scenario.single_stages(6)
+
+
+def test_the_schema_knows_installed_plugins(installed: Path) -> None:
+    schema = scenario_schema()
+    content, _ = parse(SUBURB.read_text(), "")
+    assert list(Draft202012Validator(schema).iter_errors(content)) == []
+    assert schema["$defs"]["fleet"]["properties"]["wear"]["description"].startswith("Cost of battery wear")
+    content["network"]["fleets"]["commuters"]["wears"] = 1
+    assert list(Draft202012Validator(schema).iter_errors(content))
+    assert "fleet" not in scenario_schema({"opfmodel"})["$defs"]
 
 
 def test_the_documentation_shows_the_sources() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel.check import check
 from opfmodel.cli.app import app
-from opfmodel.errors import ModelError
+from opfmodel.errors import ModelError, ProfileError
 from opfmodel.network.cases.matpower import read_case
 from solvers import Evaluator, ProgramBuilder, ProgramError
 from solvers.newton import find_root
@@ -385,6 +385,22 @@ def test_an_island_without_a_voltage_is_refused_by_name() -> None:
         grid.update(name, regulates=False)
     with pytest.raises(ModelError, match="y0: no generator in service holds the voltage of the island"):
         om.power_flow(grid)
+
+
+def test_time_series_count_at_the_given_step() -> None:
+    grid = nose(0.2)
+    grid.attach(om.Profiles({"town.p": [50, 60, 70], "town.q": [1, 2, 3]}))
+    own = om.power_flow(grid, step=2)
+    given = om.power_flow(grid, profiles={"town.p": [5, 6, 7]}, step=1)
+    assert (own.data["pd"].sel(bus="b").item(), own.data["time"].item()) == (pytest.approx(70), 2)
+    assert given.data["pd"].sel(bus="b").item() == pytest.approx(6)
+    assert given.data["qd"].sel(bus="b").item() == pytest.approx(2)
+    violations = check(grid, own.data, grid.profiles, first=2).violations
+    assert violations["active balance"].physical < 1e-6
+    with pytest.raises(ProfileError, match=r"town\.p.* has 3 values"):
+        om.power_flow(grid, step=3)
+    with pytest.raises(ModelError, match="step = -1"):
+        om.power_flow(grid, step=-1)
 
 
 # Newton's method -----------------------------------------------------------------------------------

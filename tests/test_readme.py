@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import inspect
 import re
-from collections.abc import Iterator
-from dataclasses import MISSING, Field
 from pathlib import Path
-from typing import Any, get_args
 
 import pytest
 from conftest import ROOT, SCENARIOS
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 import opfmodel as om
-from opfmodel.network import Component
-from opfmodel.network.components import BUILT_IN
 from opfmodel.plugins.catalogue import catalogue
-from opfmodel.scenario.declarations import Declarations
-from opfmodel.scenario.schema import ScenarioFile
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
@@ -78,53 +68,6 @@ def test_the_full_scenario_of_the_page_and_its_variants_run(tmp_path: Path) -> N
         assert run.status == "done", variant
 
 
-def fields_of_components() -> str:
-    """The table of the scenario page, from the classes."""
-    lines = ["| field | unit | default | series | meaning |", "| --- | --- | --- | --- | --- |"]
-    for kind in BUILT_IN:
-        meanings = meanings_of(kind)
-        lines.append(f"| **`{kind.plural}`** | | | | |")
-        for name, item in kind.fields().items():
-            rules = item.metadata
-            series = {
-                "number": f"`{name}`",
-                "span": f"`{name}_min`, `{name}_max`",
-                "cost": "`c2`, `c1`, `c0`",
-            }.get(rules["form"] if rules.get("series", True) else "", "")
-            unit = {"bus": "name", "flag": "", "cost": "$/h"}.get(rules["form"], rules["unit"])
-            lines.append(f"| `{name}` | {unit} | {default_of(item)} | {series} | {meanings[name]} |")
-    return "\n".join(lines) + "\n"
-
-
-def meanings_of(kind: type[Component]) -> dict[str, str]:
-    """What the documentation of a class says about each of its parameters, in one line."""
-    text = inspect.getdoc(kind) or ""
-    parameters = text.partition("Parameters\n----------\n")[2]
-    found = {"in_service": "false leaves it out"}
-    for names, meaning in re.findall(r"^(\w[\w, ]*)\n((?:    .*\n?)+)", parameters, flags=re.MULTILINE):
-        plain = " ".join(meaning.split()).replace("``", "`").replace("None", "none")
-        plain = plain if plain.endswith("p.u.") else plain.removesuffix(".")
-        plain = re.sub(r":class:`(\w+)`", r"\1", plain)
-        found |= dict.fromkeys(names.split(", "), plain)
-    return found
-
-
-def default_of(item: Field[Any]) -> str:
-    if item.default is MISSING:
-        return "required"
-    if isinstance(item.default, om.Polynomial):
-        return "`{c2: 0, c1: 0, c0: 0}`"
-    if isinstance(item.default, tuple):
-        return f"`[{', '.join(f'{end:g}'.replace('inf', '.inf') for end in item.default)}]`"
-    if isinstance(item.default, bool) or item.default is None:
-        return {True: "true", False: "false", None: "none"}[item.default]
-    return f"{item.default:g}"
-
-
-def test_the_scenario_page_has_the_fields_of_the_components() -> None:
-    assert fields_of_components() in (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
-
-
 def rows_of(page: Path, *headings: str) -> list[list[str]]:
     """The cells of all tables of a page that begin with these columns."""
     text = page.read_text(encoding="utf-8")
@@ -136,31 +79,6 @@ def rows_of(page: Path, *headings: str) -> list[list[str]]:
 
 def words(cell: str) -> list[str]:
     return re.findall(r"`([^`]+)`", cell)
-
-
-def keys(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """The dotted keys of a schema; of a section those inside, and its own if it can be something else."""
-    for name, item in model.model_fields.items():
-        kinds = [k for k in (item.annotation, *get_args(item.annotation)) if k is not type(None)]
-        sections = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
-        for section in sections:
-            yield from keys(section, f"{prefix}{name}.")
-        if not sections or str in kinds:
-            yield f"{prefix}{name}", item
-
-
-def test_the_scenario_page_has_every_key_with_its_default() -> None:
-    rows = rows_of(ROOT / "docs" / "scenarios.md", "key", "type", "unit", "default")
-    defaults = {key: row[3] for row in rows for key in words(row[0])}
-    for key, item in keys(ScenarioFile):
-        assert key in defaults
-        if item.is_required():
-            assert defaults[key].startswith("required"), key
-        elif isinstance(item.default, bool | int | float | str) and item.default != "":
-            shown = str(item.default).lower() if isinstance(item.default, bool) else f"{item.default}"
-            assert defaults[key].strip("`") == shown.removesuffix(".0"), key
-    sections = {*Declarations._OWN, *(kind.plural for kind in BUILT_IN)}
-    assert {f"network.{section}" for section in sections} <= set(defaults)
 
 
 @pytest.mark.parametrize("sort", ["profile", "objective", "forecast", "plant"])

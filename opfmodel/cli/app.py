@@ -11,8 +11,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, powerflow, run, solve, study
-from opfmodel.cli.output import print_faults, print_json, print_line, remark, show_warning
+from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
+from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
 from opfmodel.errors import Fault, OpfmodelError
 
 __all__ = ["app", "main"]
@@ -31,6 +31,7 @@ app.command("table")(run.table)
 app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
 app.command("list")(inspect.list_plugins)
+app.command("schema")(schema.schema)
 app.command("info")(look.info)
 app.command("convert")(convert.convert)
 app.command("init")(convert.init)
@@ -78,7 +79,7 @@ def main() -> NoReturn:
     as_json = "--json" in sys.argv[1:]
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
-    warnings.showwarning = show_warning
+    warnings.showwarning = WarningPrinter()
     try:
         code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from opfmodel.cli.options import FILE, JSON
-from opfmodel.cli.output import print_json, print_line, show_warning
+from opfmodel.cli.output import WarningPrinter, print_json, print_line
 from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario
 from opfmodel.errors import CaseError, CaseWarning, OpfmodelError
 
@@ -29,7 +29,9 @@ _LOST = ": lost: "  # as the warnings of opfmodel.network.cases.losses have it
 
 def convert(
     file: FILE,
-    to: Annotated[Path, typer.Argument(help="File to write: MATPOWER .m or scenario .yaml.")],
+    to: Annotated[
+        Path, typer.Argument(help="File to write: MATPOWER .m, scenario .yaml or pandapower .json.")
+    ],
     default_cost: DEFAULT_COST = None,
     lossy: LOSSY = False,
     json_: JSON = False,
@@ -46,6 +48,7 @@ def convert(
         written = [str(path) for path in write(_network(file, default_cost, lossy), to, lossy=lossy)]
     messages = [str(one.message) for one in caught if issubclass(one.category, CaseWarning)]
     losses = [message for message in messages if _LOST in message]
+    show_warning = WarningPrinter()
     for message in messages:
         show_warning(message, CaseWarning)
     if json_:
@@ -64,9 +67,18 @@ def _writer(to: Path) -> Callable[..., Sequence[Path]]:
         from opfmodel.scenario.write import write_scenario
 
         return write_scenario
+    if suffix == ".json":
+        return _write_pandapower
+    accepted = ".m, .yaml and .json (pandapower)"
     raise OpfmodelError(
-        f"{to}: no format is written under {suffix or 'this name'!r}; accepted are .m and .yaml"
+        f"{to}: no format is written under {suffix or 'this name'!r}; accepted are {accepted}"
     )
+
+
+def _write_pandapower(network: Network, to: Path, *, lossy: bool) -> Sequence[Path]:
+    from opfmodel.network.cases.pandapower.write import write_pandapower
+
+    return [write_pandapower(network, to, lossy=lossy)]
 
 
 def _write_matpower(network: Network, to: Path, *, lossy: bool) -> Sequence[Path]:

@@ -13,6 +13,7 @@ from typing import Any
 from opfmodel.errors import CaseWarning, Fault, ProfileWarning, ResultWarning, visible
 
 __all__ = [
+    "WarningPrinter",
     "print_faults",
     "print_json",
     "print_line",
@@ -20,11 +21,11 @@ __all__ = [
     "print_pairs",
     "print_table",
     "remark",
-    "show_warning",
     "solver_output",
 ]
 
 _UNLIMITED = 100_000  # columns
+_MOST_WARNINGS = 100
 _MOST_FAULTS = 20
 
 
@@ -54,10 +55,20 @@ def print_notes(notes: Sequence[str]) -> None:
         remark(f"note: {note}")
 
 
-def show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    """Print a warning of opfmodel; those of libraries address developers and are dropped."""
-    if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
-        remark(f"warning: {message}")
+class WarningPrinter:
+    """Prints the first warnings of opfmodel; those of libraries address developers and are dropped."""
+
+    def __init__(self) -> None:
+        self.left = _MOST_WARNINGS
+
+    def __call__(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        """Print a warning; the parameters are those of :func:`warnings.showwarning`."""
+        if issubclass(category, CaseWarning | ProfileWarning | ResultWarning):
+            if self.left > 0:
+                remark(f"warning: {message}")
+            elif self.left == 0:
+                remark("warning: further warnings are not shown")
+            self.left -= 1
 
 
 def print_json(result: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario, 
 from opfmodel.errors import OpfmodelError
 
 if TYPE_CHECKING:
+    from opfmodel.data.series import Profiles
     from opfmodel.network import Network
     from opfmodel.plan.power_flow_result import PowerFlowResult
 
@@ -33,6 +34,7 @@ def powerflow(
     enforce_q_limits: Annotated[
         bool, typer.Option("--enforce-q-limits", help="Generators at a reactive limit give up their voltage.")
     ] = False,
+    step: Annotated[int, typer.Option(help="Step of the time series, if there are any.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Folder for trajectories.nc and summary.json.")] = None,
     lossy: LOSSY = False,
     variant: VARIANT = None,
@@ -41,13 +43,13 @@ def powerflow(
 ) -> int:
     """Find the AC power flow of a network at its set-points.
 
-    Limits are not enforced. Of a scenario, the network is used, with its constant demand.
+    Limits are not enforced. Of a scenario, its network and time series are used.
     """
     from opfmodel.plan.power_flow import power_flow
     from opfmodel.results import save
 
-    network = _network(file, lossy, variant, set_)
-    flow = power_flow(network, slack=slack, enforce_q_limits=enforce_q_limits)
+    network, profiles = _network(file, lossy, variant, set_)
+    flow = power_flow(network, slack=slack, enforce_q_limits=enforce_q_limits, profiles=profiles, step=step)
     summary = flow.summary()
     if out is not None:
         save(flow.data if flow.converged else None, summary, out)
@@ -60,13 +62,17 @@ def powerflow(
     return 0 if flow.converged else 1
 
 
-def _network(file: Path, lossy: bool, variant: str | None, overrides: list[str] | None) -> Network:
+def _network(
+    file: Path, lossy: bool, variant: str | None, overrides: list[str] | None
+) -> tuple[Network, Profiles | None]:
+    """Return the network of a file, and the time series of a scenario."""
     if is_scenario(file):
         refuse_lossy(file, lossy)
-        return read_scenario(file, variant, overrides).network
+        scenario = read_scenario(file, variant, overrides)
+        return scenario.network, scenario.profiles
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return read_network_file(file, default_cost=0.0, lossy=lossy)  # costs play no part in a power flow
+    return read_network_file(file, default_cost=0.0, lossy=lossy), None  # costs play no part in it
 
 
 def _show(flow: PowerFlowResult) -> None:

@@ -19,6 +19,7 @@ _MESSAGES = {
     "bool_parsing": _FLAG,
     "finite_number": "must be a finite number",
     "string_type": "must be text",
+    "string_unicode": "must be valid Unicode text",
     "list_type": "must be a list",
     "tuple_type": "must be a list",
     "dict_type": "must be a mapping",

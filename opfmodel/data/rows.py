@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
-from xml.etree.ElementTree import ParseError
 
 from opfmodel.data.files import MB, open_text, read_bytes
 from opfmodel.errors import ProfileError
@@ -110,7 +110,8 @@ def _excel(path: Path) -> Iterator[Row]:
         InvalidFileException,
         zipfile.BadZipFile,
         zipfile.LargeZipFile,
-        ParseError,
+        zlib.error,
+        SyntaxError,  # of XML, by any of the parsers that openpyxl uses
         KeyError,
         IndexError,
         ValueError,

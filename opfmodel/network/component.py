@@ -156,9 +156,9 @@ class Component:
 
         Examples
         --------
-        >>> from opfmodel.network import Generator
-        >>> list(Generator.table_fields())
-        ['p_min', 'p_max', 'q_min', 'q_max', 'ramp', 'c2', 'c1', 'c0', 'pg_set', 'qg_set', 'vm_set']
+        >>> from opfmodel.network import Load
+        >>> list(Load.table_fields())
+        ['p', 'q']
         """
         made = {}
         for name, item in cls.fields().items():

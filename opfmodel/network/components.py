@@ -286,8 +286,8 @@ class Shunt(Component):
     plural: ClassVar[str] = "shunts"
 
     bus: str = at_bus()
-    g: float = number("MW", 0.0, series=False, description="Active power drawn at a voltage of 1 p.u.")
-    b: float = number("MVAr", 0.0, series=False, description="Reactive power injected at a voltage of 1 p.u.")
+    g: float = number("MW", 0.0, series=False, description="Active power drawn at 1 p.u. voltage.")
+    b: float = number("MVAr", 0.0, series=False, description="Reactive power injected at 1 p.u. voltage.")
     in_service: bool = in_service()
 
 

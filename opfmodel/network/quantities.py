@@ -62,6 +62,11 @@ _POWERS = ("active power", "reactive power", "apparent power")
 _NUMBER = re.compile(
     r"([+-]?(?>(?:\d[\d_]*(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?))\s*((?:[^\W\d_]|[%°$€£¥(]|1\s*/).*)", re.DOTALL
 )
+# the same for JSON Schema, whose patterns have no atomic groups
+_PATTERN = (
+    r"^\s*(?!.*%\s*of\b)(?![+-]?[\d_.]+([eE][+-]?\d+)?\s*$)[+-]?(\d[\d_]*(\.\d*)?|\.\d+)([eE][+-]?\d+)?\s*"
+    r"([^\W\d_]|[%°$€£¥(]|1\s*/)"
+)
 _NAME = re.compile(r"[^\W\d_]{1,16}|[$€£¥]")
 _SHARE = re.compile(r"%\s*of\b")  # "10% of p_max" is a share of another field, not a quantity
 
@@ -177,7 +182,7 @@ def quantity_schema(unit: str) -> dict[str, Any]:
 
     Only its form is described: whether the unit is one of the field depends on the currency.
     """
-    return {"type": "string", "pattern": r"^\s*[+-]?(\d|\.\d)", "description": _spelt(unit)}
+    return {"type": "string", "pattern": _PATTERN, "description": _spelt(unit)}
 
 
 def in_currency(unit: str, currency: str) -> str:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from opfmodel.errors import ModelError, nearest, raise_all, shown
 from opfmodel.model import Stage
 from opfmodel.network.arrays import PerUnitNetwork
-from opfmodel.network.bounds import LARGEST, number_within
+from opfmodel.network.bounds import LARGEST, is_number, number_within
 from opfmodel.objectives.base import Objective
 from solvers import total
 
@@ -41,6 +41,19 @@ class Setpoints:
 
     def __init__(self, values: Values | Callable[[], Values]) -> None:
         self._values = values
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: object, handler: object) -> dict[str, Any]:
+        """What a scenario file accepts for set-points."""
+        numbers = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
+        from_file = {"properties": {"file": {"type": "string"}}, "required": ["file"]}
+        return {
+            "anyOf": [
+                {"const": "single-stage"},
+                {"type": "object", **from_file, "additionalProperties": False},
+                {"type": "object", "additionalProperties": numbers},
+            ]
+        }
 
     @property
     def values(self) -> Values:
@@ -160,6 +173,8 @@ class SetpointTracking(Objective):
 def _numbers(key: str, value: npt.ArrayLike) -> Array:
     try:
         array = np.atleast_1d(np.asarray(value, dtype=float))
+        if not all(map(is_number, np.asarray(value, dtype=object).flat)):  # no text and no Booleans
+            raise TypeError
     except (TypeError, ValueError, OverflowError):
         raise ModelError(
             f"set-point {key!r}: {shown(value)}: must be a number, or one number per step", str(key)

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
+from opfmodel.data.series import Profiles
 from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
 from opfmodel.devices.load import LoadDevice
 from opfmodel.errors import ModelError
@@ -17,6 +19,7 @@ from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.components import BUILT_IN
 from opfmodel.network.network import Network
+from opfmodel.network.series import check_series, window
 from opfmodel.plan.power_flow_result import PowerFlowResult
 from opfmodel.plan.set_points import Held, held, slack_shares
 from solvers import Evaluator, Program
@@ -34,6 +37,8 @@ def power_flow(
     slack: str = "single",
     participation: Mapping[str, float] | None = None,
     enforce_q_limits: bool = False,
+    profiles: Mapping[str, npt.ArrayLike] | Profiles | None = None,
+    step: int = 0,
     tolerance: float = 1e-8,
     limit: int = 30,
 ) -> PowerFlowResult:
@@ -54,6 +59,8 @@ def power_flow(
     enforce_q_limits
         Whether the generators of a bus stop holding its voltage when together they reach a limit of their
         reactive power, as in MATPOWER and pandapower; those at the reference bus always hold it.
+    profiles, step
+        Time series, which override those of the network one by one, and the step at which they are read.
     tolerance
         Largest missing power at a bus, in per unit on ``Network.scale_mva``.
     limit
@@ -66,9 +73,9 @@ def power_flow(
 
     Raises
     ------
-    ModelError
-        An option is invalid, a component of another package has no set-points, or no generator in service
-        holds the voltage of an island.
+    OpfmodelError
+        An option or time series is invalid, a component of another package has no set-points, or no
+        generator in service holds the voltage of an island.
 
     Notes
     -----
@@ -94,13 +101,17 @@ def power_flow(
         raise ModelError("participation: applies to slack = 'distributed' only")
     number_within("tolerance", tolerance, at_least=1e-12, at_most=1.0)
     integer("limit", limit, at_least=1)
+    series = Profiles.of(profiles).or_else(network.profiles)
+    check_series(series, network)
     arrays = per_unit(network)
+    arrays = arrays.with_series(window(series, arrays, integer("step", step, at_least=0), 1))
     _refuse_others(arrays)
     points = held(arrays)
     shares = slack_shares(points, participation) if slack == "distributed" else points.first_at_reference
     flow = _Flow(points, shares, tolerance, limit)
     root = flow.solve(enforce_q_limits)
-    return flow.result(network, root)
+    hours = 1.0 if series.calendar is None else series.calendar.step
+    return flow.result(network, root, Times(np.array([step], dtype=np.intp), hours, series.calendar))
 
 
 def _refuse_others(network: PerUnitNetwork) -> None:
@@ -199,7 +210,7 @@ class _Flow:
         x[block.index[over, 0]] = held[over]
         return bool(over.any())
 
-    def result(self, network: Network, root: Root) -> PowerFlowResult:
+    def result(self, network: Network, root: Root, times: Times) -> PowerFlowResult:
         """Return what was found, in physical units."""
         base = self.network.base_mva
         values = self.evaluator.outputs(root.x, self.program.default.parameters)
@@ -218,6 +229,7 @@ class _Flow:
             },
             limited=tuple(names[bus] for bus in self.points.at[self.limited]),
             notes=self.points.notes,
+            _times=times,
             _arrays=self.network,
             _quantities={
                 name: (p.kind, p.unit, p.description, values[name])

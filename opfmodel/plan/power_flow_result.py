@@ -51,6 +51,7 @@ class PowerFlowResult:
     slack: Mapping[str, float]
     limited: tuple[str, ...]
     notes: tuple[str, ...]
+    _times: Times = field(repr=False)
     _arrays: PerUnitNetwork = field(repr=False)
     _quantities: Mapping[str, tuple[str, str, str, Array]] = field(repr=False)
 
@@ -64,12 +65,12 @@ class PowerFlowResult:
         """Voltages, flows and injections in physical units, named as in ``plan.data``."""
         from opfmodel.results import dataset
 
-        made = dataset(self._arrays, self._quantities, Times(np.zeros(1, dtype=np.intp), 1.0))
+        made = dataset(self._arrays, self._quantities, self._times)
         made.attrs |= {
             "network": self.network.name,
             "formulation": "ac",
             "status": self.status,
-            "step_hours": 1.0,
+            "step_hours": self._times.step,
         }
         return made
 

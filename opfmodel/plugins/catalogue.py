@@ -12,7 +12,7 @@ from opfmodel.errors import PluginError
 from opfmodel.plugins.registry import GROUPS, hidden, plugins
 from solvers import back_ends, broken_back_ends, installed
 
-__all__ = ["Entry", "catalogue"]
+__all__ = ["Entry", "catalogue", "described", "first_line"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def catalogue() -> list[Entry]:
         for plugin in plugins(sort).values():
             try:
                 loaded = plugin.load()
-                entry = Entry(sort, plugin.name, plugin.origin, _first_line(loaded), options=_options(loaded))
+                entry = Entry(sort, plugin.name, plugin.origin, first_line(loaded), options=_options(loaded))
             except PluginError as error:
                 entry = Entry(sort, plugin.name, plugin.origin, f"BROKEN: {error}", True)
             entries.append(entry)
@@ -61,18 +61,31 @@ def catalogue() -> list[Entry]:
     for name, end in back_ends().items():
         if name not in broken_ends:
             called = ", ".join(installed(end)) or "none installed"
-            summary = f"{_first_line(type(end))} Solves: {end.accepts}. Solvers: {called}."
+            summary = f"{first_line(type(end))} Solves: {end.accepts}. Solvers: {called}."
             entries.append(Entry("back end", name, origins.get(name, "unknown"), summary))
     for name, reason in broken_ends.items():
         entries.append(Entry("back end", name, origins.get(name, "unknown"), f"BROKEN: {reason}", True))
     return entries
 
 
-def _first_line(cls: type) -> str:
+def first_line(cls: type) -> str:
     """First line of the docstring of a class, without markup."""
-    line = (inspect.getdoc(cls) or "no documentation").splitlines()[0]
-    line = re.sub(r":(\w+):`([^`]*)`", lambda match: _formula(match[2]), line)
-    return line.replace("``", "")
+    return _plain((inspect.getdoc(cls) or "no documentation").splitlines()[0])
+
+
+def described(cls: type) -> dict[str, str]:
+    """What the docstring of a class says about each of its parameters, in one line without markup."""
+    section = (inspect.getdoc(cls) or "").partition("Parameters\n----------\n")[2]
+    found = re.findall(r"^(\w[\w, ]*).*\n((?:    .*\n?|\n(?=    ))+)", section, flags=re.MULTILINE)
+    return {
+        name: _plain(" ".join(text.split())) for names, text in found for name in names.strip().split(", ")
+    }
+
+
+def _plain(text: str) -> str:
+    """Text without the markup of reStructuredText."""
+    text = re.sub(r":(\w+):`([^`]*)`", lambda match: _formula(match[2]), text)
+    return text.replace("``", "")
 
 
 def _formula(text: str) -> str:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import json
 import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from opfmodel.data.faults import fault_message
 from opfmodel.errors import OpfmodelError, PluginError, close, nearest, raise_all, shown
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 __all__ = ["GROUPS", "Plugin", "hidden", "load", "make", "plugins", "rescan"]
 
@@ -146,7 +150,8 @@ def make(
     Parameters
     ----------
     options
-        Keyword arguments of the constructor, checked against its annotations; numbers must be finite.
+        Keyword arguments of the constructor, checked against its annotations. Types of plain data are not
+        converted, so that the text ``"2"`` is no number; numbers must be finite.
     convert
         Functions that convert file values, by the annotated type of the option.
     beside
@@ -186,7 +191,7 @@ def make(
             adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False))
             try:
                 plain = value if converter is None else converter(value)
-                checked[key] = adapter.validate_python(plain, context=context)
+                checked[key] = _validated(adapter, plain, context)
             except ValidationError as error:
                 fault = error.errors()[0]
                 path, at = _path(value, fault["loc"])
@@ -204,6 +209,15 @@ def make(
 
     raise_all(errors())
     return cls(**checked)
+
+
+def _validated(adapter: TypeAdapter[Any], value: Any, context: object) -> Any:
+    """Validate an option: plain data as JSON, in which a strict check takes lists for tuples."""
+    try:
+        text = json.dumps(value)
+    except TypeError:  # an object
+        return adapter.validate_python(value, context=context)
+    return adapter.validate_json(text, strict=True, context=context)
 
 
 def _called(sort: str) -> str:

@@ -16,6 +16,7 @@ from opfmodel.data.files import check_file, read_text
 from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError
 from opfmodel.results.figures import figure_paths
+from opfmodel.results.validity import check_trajectories
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -108,9 +109,10 @@ def load(folder: str | Path) -> xr.Dataset:
         data = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
         raise ResultError(f"{path}: not a result of opfmodel: the NetCDF file is damaged") from error
-    lacking = [name for name in ("time", "bus", "pd", "qd") if name not in data.variables]
-    if lacking:
-        raise ResultError(f"{path}: not a result of opfmodel: {lacking[0]!r} is missing")
+    try:
+        check_trajectories(data)
+    except ResultError as error:
+        raise ResultError(f"{path}: not a result of opfmodel: {error}") from error
     return data
 
 

@@ -35,7 +35,7 @@ from opfmodel.network.written import without_units
 from opfmodel.scenario.document import Document, Key, colon_hint
 from opfmodel.scenario.schema import NetworkSection, ScenarioFile
 
-__all__ = ["Declarations", "component_kinds"]
+__all__ = ["SHARE", "Declarations", "component_kinds"]
 
 
 class Declarations:
@@ -255,39 +255,46 @@ class Declarations:
     ) -> dict[str, Any]:
         """Replace quantities such as ``200 MWh`` and shares such as ``10% of p_max`` with numbers."""
         plain, errors = dict(fields), []
+        shares: dict[str, re.Match[str]] = {}
         for key, value in fields.items():
+            match = SHARE.fullmatch(value) if isinstance(value, str) and _of_numbers(kind, key) else None
+            if match:
+                shares[key] = match
+                continue
             try:
                 plain |= without_units(kind, name, {key: value}, self.basis)
             except ComponentError as error:
                 errors.append(error)
-        wrong = {error.field for error in errors}
-        known = {k: v for k, v in {**(others or {}), **plain}.items() if not _SHARE.fullmatch(str(v))}
-        for key, value in fields.items():
-            match = _SHARE.fullmatch(value) if isinstance(value, str) else None
-            if match:
-                wrong.add(key)
-                try:
-                    whole = kind.from_mapping(name, known)
-                except ComponentError as error:
-                    errors.append(error)
-                    whole = kind(**_stand_ins(kind, []))  # to check the name
-                try:
-                    plain[key] = _share(whole, name, key, match)
-                except ComponentError as error:
-                    errors.append(error)
+        wrong = {*shares, *(error.field for error in errors)}
+        known = {k: v for k, v in {**(others or {}), **plain}.items() if k not in shares}
+        for key, match in shares.items():
+            try:
+                whole = kind.from_mapping(name, known)
+            except ComponentError as error:
+                errors.append(error)
+                whole = kind(**_stand_ins(kind, []))  # to check the name
+            try:
+                if match[2] == key:
+                    raise ComponentError(name, key, match[0], "is a share of itself; name another field")
+                plain[key] = _share(whole, name, key, match)
+            except ComponentError as error:
+                errors.append(error)
         if errors:
             errors += kind.errors_of_mapping(name, {**(others or {}), **plain}, wrong)
         raise_all(errors)
         return plain
 
 
-_SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
+def _of_numbers(kind: type[Component], key: str) -> bool:
+    return key in kind.fields() and kind.fields()[key].metadata["form"] in ("number", "span")
+
+
+SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
+"""A share of another field of the component: ``10% of p_max``."""
 
 
 def _share(component: Component, name: str, key: str, match: re.Match[str]) -> float:
     """Return the number for which a share of another field stands."""
-    if match[2] == key:
-        raise ComponentError(name, key, match[0], "is a share of itself; name another field")
     try:
         number = float(match[1]) / 100.0 * component.constant(match[2])
     except ProfileError as error:

@@ -83,7 +83,9 @@ class NetworkSection(Section):
     model_config = ConfigDict(extra="allow")  # components by name, in sections named after their kind
 
     file: str | None = Field(
-        None, description="network file to start from: MATPOWER, PSS/E, pandapower, PyPSA and others"
+        None,
+        description="network file to start from: MATPOWER, PSS/E, pandapower, PyPSA and others, or "
+        "`simbench:CODE`",
     )
     name: str | None = Field(
         None, description="name of a network without a file; by default that of the scenario"
@@ -97,7 +99,9 @@ class NetworkSection(Section):
         None, description="cost of generators for which the file states none"
     )
     lossy: bool = Field(
-        False, description="whether to read a file of which something cannot be represented, with a warning"
+        False,
+        description="whether to accept that data of the file without counterpart are lost, with a warning "
+        "for each; by default they are an error",
     )
     update: Annotated[dict[str, dict[str, Any]] | None, Of("update")] = Field(
         None,
@@ -116,23 +120,26 @@ class NetworkSection(Section):
 class TimeSection(Section):
     start: str | None = Field(
         None,
-        description="beginning of the first step, ISO 8601; without an offset it is in the zone; "
-        "by default that of the network's series, if any",
+        description="beginning of the first step, ISO 8601; without an offset it is in the zone; by default "
+        "that of the network's series, else of the first file with times",
     )
     zone: str | None = Field(
         None,
-        description="time zone, such as Europe/Berlin; by default that of the network's series, else UTC",
+        description="time zone of times without an offset and of everything shown, such as `Europe/Berlin`; "
+        "by default that of the network's series, else `UTC`",
     )
     step: Annotated[float, Field(ge=STEP_HOURS[0], le=STEP_HOURS[1]), In("h")] = Field(
         1.0,
-        description="length of a stage, from 1e-6 to 1e6; by default that of the network's series, if any",
+        description="length of a stage, from 1e-6 to 1e6 h; if it is not stated, that of the network's "
+        "series or of the first file with times counts",
     )
     steps: int = Field(
         1,
         ge=1,
-        description="steps of the closed loop, at least 1; by default as many as the network's series allow",
+        description="steps of the closed loop, at least 1; if it is not stated, as many as the network's "
+        "series allow",
     )
-    at_end: AtEnd = Field("error", description="what to do where data end before the last plan")
+    at_end: AtEnd = Field("error", description="what plans do that look beyond the data")
 
 
 class EndSection(Section):
@@ -167,40 +174,51 @@ class SolverSection(Section):
 
 
 class HorizonSection(Section):
-    hours: list[Annotated[float, In("h")]] = Field(min_length=1, description="length of each stage of a plan")
+    hours: list[Annotated[float, In("h")]] = Field(
+        min_length=1,
+        description="length of each stage, a multiple of `time.step`; in a closed loop the first is one step",
+    )
 
 
 class CaseSection(Section):
-    probability: float = Field(description="probability of this future")
+    probability: float = Field(description="above 0; the probabilities of all cases sum to 1")
     profiles: Annotated[List, Of("profile")] = Field(
-        default_factory=list, description="rules applied to the expected series after the common part"
+        default_factory=list,
+        description="profile rules that change the expected series after the common stages",
     )
 
 
 class DrawSection(Section):
-    number: int = Field(description="futures to draw from the error model of the forecast")
-    keep: int = Field(description="futures to keep after reduction")
+    number: int = Field(description="paths to draw")
+    keep: int = Field(description="paths to keep after reduction")
     seed: int = Field(0, description="seed of the random numbers")
 
 
 class RiskSection(Section):
-    level: float = Field(description="share of the futures that the tail leaves out")
-    weight: float = Field(description="weight of the mean cost of the tail, below 1")
+    level: float = Field(
+        description="plans minimise (1 - `weight`) times the mean plus `weight` times the mean of the worst "
+        "1 - `level` of the scenarios' costs; from 0 to below 1"
+    )
+    weight: float = Field(description="weight of the worst costs, from 0 to below 1")
 
 
 class ScenariosSection(Section):
-    common: int = Field(1, ge=0, description="stages at the start that all futures share")
-    cases: dict[str, CaseSection] = Field(default_factory=dict, description="futures by name")
-    draw: DrawSection | None = Field(None, description="futures drawn at random, in place of cases")
-    risk: RiskSection | None = Field(None, description="weighing of expensive futures")
+    common: int = Field(
+        1, ge=0, description="stages at the beginning that all futures share; at least 1 in a closed loop"
+    )
+    cases: dict[str, CaseSection] = Field(default_factory=dict, description="named futures")
+    draw: DrawSection | None = Field(None, description="paths drawn from the forecast, in place of cases")
+    risk: RiskSection | None = Field(
+        None, description="risk aversion; by default plans minimise the expected cost"
+    )
 
 
 class ControllerSection(Section):
     horizon: Annotated[int, Field(ge=1)] | HorizonSection = Field(
-        1, description="stages of a plan, at least 1, or their lengths"
+        1, description="stages of a plan, at least 1; or a mapping with `hours`"
     )
     scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = Field(
-        None, description="futures of a plan, as a tree of scenarios"
+        None, description="futures that plans take into account"
     )
     formulation: Annotated[str, Of("formulation")] = Field(
         "ac", description="equations of the grid in the plans"
@@ -250,8 +268,7 @@ class PlantSection(BaseModel):
 
     mode: str = Field(
         "nominal",
-        description="plant that responds to the plans; its options are keys next to `mode`, and "
-        "`plant: redispatch` stands for `plant: {mode: redispatch}`",
+        description="name of the plant",
     )
 
     @model_validator(mode="before")
@@ -323,7 +340,9 @@ class ScenarioFile(Section):
         "perfect", description="what the controller expects of the series"
     )
     plant: Annotated[PlantSection, _BY_MODE, Of("plant")] = Field(
-        default_factory=PlantSection, description="plant that responds to the plans"
+        default_factory=PlantSection,
+        description="plant that responds to the plans, `nominal` by default; its options are keys next to "
+        "`mode`, and `plant: redispatch` stands for `plant: {mode: redispatch}`",
     )
     constraints: dict[str, ConstraintSection] = Field(
         default_factory=dict, description="linear constraints on plans, by name"

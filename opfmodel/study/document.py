@@ -18,7 +18,7 @@ from opfmodel.scenario import laid_over, load_scenario
 from opfmodel.scenario.document import Document, check_name, check_printable, read_document, validated
 from opfmodel.study.files import check_relative
 
-__all__ = ["Axis", "Study", "Variation", "read_study"]
+__all__ = ["Axis", "Study", "StudyFile", "Variation", "read_study"]
 
 Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
@@ -27,15 +27,29 @@ Keys = tuple[str, ...]
 _MOST_RUNS = 100_000  # each run has a record and a row
 
 
-class _File(BaseModel):
+class StudyFile(BaseModel):
+    """The content of a study file."""
+
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    name: str | None = None
-    description: str = ""
-    scenario: str | None = None
-    variant: str | None = None
-    set: dict[str, Any] = Field(default_factory=dict)
-    vary: dict[str, Any] = Field(default_factory=dict)
+    name: str | None = Field(
+        None,
+        description="name of the study and of its results folder, by default that of the file; the rules are "
+        "those of scenario names",
+    )
+    description: str = Field("", description="free text")
+    scenario: str | None = Field(None, description="scenario file; required, here or as an axis")
+    variant: str | None = Field(
+        None, description="variant of the scenario; as an axis, null is the scenario itself"
+    )
+    set: dict[str, Any] = Field(
+        default_factory=dict,
+        description="dotted keys of the scenario, the same in every run unless an axis sets them",
+    )
+    vary: dict[str, Any] = Field(
+        default_factory=dict,
+        description="axes of the grid; the study runs every combination, the last axis varying fastest",
+    )
 
 
 @dataclass(frozen=True)
@@ -137,7 +151,7 @@ def read_study(path: str | Path) -> Study:
         raise document.error((), "a study is a mapping with the keys 'scenario' and 'vary'")
     if "network" in document.content:
         raise document.error(("network",), "this file is a scenario; run it with 'opfmodel run'")
-    file = validated(document, document.content, _File)
+    file = validated(document, document.content, StudyFile)
     for key in ("scenario", "variant"):
         if key in file.set:
             faults.add(document.fault(("set", key), "is a key of the study; move it out of 'set'"))

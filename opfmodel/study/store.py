@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.writing import remove_temporaries, replace
-from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest
+from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest, shown
 from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
@@ -132,9 +132,21 @@ class Store:
         if content.get("key") != key:
             raise ResultError(f"{path}: the key inside does not match the file name")
         try:
-            return Record(**content)
+            record = Record(**content)
         except TypeError as error:
             raise ResultError(f"{path}: not the record of a run: {error}") from error
+        for name, part in (
+            ("result", record.result),
+            ("times", record.times),
+            ("provenance", record.provenance),
+        ):
+            if not isinstance(part, dict):
+                raise ResultError(
+                    f"{path}: not the record of a run: {name} = {shown(part)}: must be a mapping"
+                )
+        if not isinstance(status := record.result.get("status"), str):
+            raise ResultError(f"{path}: not the record of a run: status = {shown(status)}: must be text")
+        return record
 
     def records(self, keys: Iterable[str]) -> tuple[dict[str, Record], list[str]]:
         """Return the trusted records by key, and why others cannot be trusted."""
@@ -160,10 +172,18 @@ class Store:
         if not os.path.lexists(self._index):
             raise ResultError(f"{self._index}: no such file; 'opfmodel study run' creates it")
         content = unsealed(self._index)
-        try:
-            return [(run["labels"], run["key"]) for run in content["runs"]]
-        except (KeyError, TypeError) as error:
-            raise ResultError(f"{self._index}: not a study of opfmodel: {error}") from error
+        runs = content.get("runs")
+        if not isinstance(runs, list) or not runs:
+            raise ResultError(
+                f"{self._index}: not a study of opfmodel: runs = {shown(runs)}: must be a list of runs"
+            )
+        for run in runs:
+            if not _is_run(run):
+                raise ResultError(
+                    f"{self._index}: not a study of opfmodel: {shown(run)}: "
+                    "must have labels and a key of 32 digits"
+                )
+        return [(run["labels"], run["key"]) for run in runs]
 
     def index_fault(self) -> str | None:
         """Return why the list of runs cannot be trusted; None if it can, or does not exist."""
@@ -302,6 +322,14 @@ def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> l
         and not name.startswith(("time_", "provenance_"))
         and any(row[name] is not None for row in rows)
     ]
+
+
+def _is_run(run: object) -> bool:
+    """Whether an entry of the list of runs has labels and a key, which is the name of a file."""
+    if not isinstance(run, dict) or not isinstance(run.get("labels"), dict):
+        return False
+    key = run.get("key")
+    return isinstance(key, str) and _RECORDS.fullmatch(f"{key}.json") is not None
 
 
 def _figures(key: str, record: Record | None) -> Row:

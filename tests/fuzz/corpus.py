@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cache
 from pathlib import Path
 
@@ -76,6 +79,10 @@ def _scenarios() -> Iterator[Seed]:
     files = {"s.yaml": run, "demand.csv": scenarios.TINY_DEMAND.encode()}
     commands = [("run", "s.yaml", "--out", OUT, "--json", "--no-figures"), ("solve", "s.yaml")]
     yield Seed("tiny", "scenario", files, {"s.yaml": YAML}, commands)
+    files = _encoded(s__yaml=scenarios.UNITS, t__csv=scenarios.STAMPED)
+    commands = [("validate", "s.yaml"), ("info", "s.yaml"), ("convert", "s.yaml", f"{OUT}/x.yaml", "--lossy")]
+    commands += [("powerflow", "s.yaml", "--json"), ("run", "s.yaml", "--out", OUT, "--json", "--no-figures")]
+    yield Seed("units", "scenario", files, {"s.yaml": YAML}, commands)
 
 
 # Networks ---------------------------------------------------------------------------------------
@@ -86,6 +93,12 @@ def _network_commands(file: str, *options: str) -> list[Command]:
         ("validate", file),
         ("validate", file, "--lossy", "--json"),
         ("solve", file, "--formulation", "dc", "--json", *options),
+        ("info", file, "--lossy"),
+        ("info", file, "--json"),
+        ("powerflow", file, "--lossy", "--json", "--out", OUT),
+        ("convert", file, f"{OUT}/x.m", "--lossy", *options),
+        ("convert", file, f"{OUT}/x.yaml", "--lossy", "--json", *options),
+        ("init", f"{OUT}/x.yaml", "--from", file, "--lossy"),
     ]
 
 
@@ -166,10 +179,52 @@ def _pypsa_files() -> tuple[dict[str, bytes], bytes]:
 
 def _tables() -> Iterator[Seed]:
     families = ("words", "words", "columns", "lines", "bytes", "file")
-    commands = [("validate", "s.yaml"), ("solve", "s.yaml", "--json")]
-    for name, cells in (("numbered", scenarios.CELLS),):
-        files = _encoded(s__yaml=scenarios.TABLE.replace("FILE", "t.csv"), t__csv=cells)
+    commands = [("validate", "s.yaml"), ("solve", "s.yaml", "--json"), ("info", "s.yaml", "--json")]
+    stamped = scenarios.TABLE.replace("time: {", "time: {start: 2025-03-29T00:00, zone: Europe/Berlin, ")
+    for name, text, cells in (
+        ("numbered", scenarios.TABLE, scenarios.CELLS),
+        ("stamped", stamped, scenarios.STAMPED),
+        ("resampled", stamped.replace("FILE", "FILE, resample: mean"), scenarios.QUARTERS),
+    ):
+        files = _encoded(s__yaml=text.replace("FILE", "t.csv"), t__csv=cells)
         yield Seed(f"csv-{name}", "table", files, {"t.csv": families}, commands)
+        files = {"s.yaml": text.replace("FILE", "t.parquet").encode(), "t.parquet": _parquet(cells)}
+        targets = {"t.parquet": ("parquet", "parquet", "parquet", "bytes", "file")}
+        yield Seed(f"parquet-{name}", "table", files, targets, commands, ["pandas"])
+        files = {"s.yaml": text.replace("FILE", "t.xlsx").encode(), "t.xlsx": _excel(cells)}
+        targets = {"t.xlsx": ("zip", "zip", "zip", "bytes", "file")}
+        yield Seed(f"excel-{name}", "table", files, targets, commands, ["openpyxl"])
+
+
+def _parquet(cells: str) -> bytes:
+    """A table as Parquet, with columns of numbers and of times."""
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    stream = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.csv.read_csv(io.BytesIO(cells.encode())), stream)
+    return stream.getvalue()
+
+
+def _excel(cells: str) -> bytes:
+    """A table as an Excel file, with cells of numbers and of times."""
+    from openpyxl import Workbook
+
+    book = Workbook()
+    for row in csv.reader(cells.splitlines()):
+        book.active.append([_cell(word) for word in row])
+    stream = io.BytesIO()
+    book.save(stream)
+    return stream.getvalue()
+
+
+def _cell(word: str) -> float | datetime | str:
+    for convert in (float, lambda word: datetime.fromisoformat(word).replace(tzinfo=None)):
+        try:
+            return convert(word)
+        except ValueError:
+            continue
+    return word
 
 
 # Studies ----------------------------------------------------------------------------------------
@@ -242,13 +297,21 @@ def _results() -> Iterator[Seed]:
 
 def _overrides() -> Iterator[Seed]:
     files = _encoded(s__yaml=scenarios.TINY, demand__csv=scenarios.TINY_DEMAND)
-    for setting in (
-        *("controller.horizon=2", "controller.formulation=dc", "time.steps=2", "time={steps: 2, step: 0.5}", "cost=economic"),
-        *("network.generators.unit.p=[0, 90]", "profiles=[{scale: {factor: 2}}]", "controller.solver={name: auto}"),
-    ):  # fmt: skip
+    for setting in SETTINGS:
         given = {**files, "value": setting.encode()}
-        targets = {"value": ("words", "words", "words", "bytes")}
-        yield Seed(setting, "override", given, targets, [("validate", "s.yaml", "--set", VALUE)])
+        commands = [("validate", "s.yaml", "--set", VALUE), ("info", "s.yaml", "--json", "--set", VALUE)]
+        yield Seed(setting, "override", given, WORDS, commands)
+    for option, value in OPTIONS:
+        given = {**files, "value": value.encode()}
+        yield Seed(option, "override", given, WORDS, [("solve", "s.yaml", "--json", option, VALUE)])
+
+
+WORDS = {"value": ("words", "words", "words", "bytes")}
+SETTINGS = (
+    *("controller.horizon=2", "controller.formulation=dc", "time.steps=2", "time={steps: 2, step: 30 min}", "cost=economic"),
+    *("network.generators.unit.p=[0, 90 MW]", "profiles=[{scale: {factor: 2}}]", "controller.solver={name: auto}", "time.at_end=repeat"),
+)  # fmt: skip
+OPTIONS = (("--formulation", "dc"), ("--solver", "auto"), ("--horizon", "2"), ("--on-infeasible", "elastic"))
 
 
 _MAKERS: Mapping[str, Callable[[], Iterator[Seed]]] = {

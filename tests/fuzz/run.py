@@ -111,6 +111,7 @@ class Worker:
 
     def run(self, files: Mapping[str, Content], command: Sequence[str]) -> Outcome:
         """Run a command on files."""
+        process = self.process or self._start()  # it may write caches
         given, out = self.folder / "input", self.folder / "out"
         for folder in (given, out):
             shutil.rmtree(folder, ignore_errors=True)
@@ -118,33 +119,30 @@ class Worker:
         place(files, given)
         value = files.get("value", b"")
         text = os.fsdecode(value.replace(b"\0", b"")) if isinstance(value, bytes) else ""
-        arguments = [str(out) if word == OUT else text if word == VALUE else word for word in command]
+        arguments = [text if word == VALUE else word.replace(OUT, str(out)) for word in command]
         before = _listing(self.folder, out)
-        reply = self._ask({"arguments": arguments, "folder": str(given), "out": str(out)})
+        reply = self._ask(process, {"arguments": arguments, "folder": str(given), "out": str(out)})
         printed = [_read(self.folder / name) for name in ("stdout", "stderr")]
         written = sorted(_listing(self.folder, out) ^ before)
         return _judged(reply, *printed, written, as_json="--json" in command)
 
-    def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    def _ask(self, process: subprocess.Popen[str], request: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request; return the reply, or how the process ended instead."""
-        process = self.process or self._start()
         assert process.stdin is not None
         process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
         if reply := self._reply(process, CPU_SECONDS):
             return reply
         code = process.poll()
+        large = code is None and _use(psutil.Process(process.pid))[1] > MEGABYTES
         if code is None:
             process.send_signal(signal.SIGUSR1)  # writes the stack on standard error
             time.sleep(0.5)
         self.stop()
         return {
-            "timeout": code is None,
+            "ended": "too large" if large else "too long" if code is None else "",
             "code": code,
             "trace": "",
-            "megabytes": 0,
-            "written": [],
-            "started": [],
         }
 
     def _start(self) -> subprocess.Popen[str]:
@@ -171,9 +169,14 @@ class Worker:
         """The reply of the process; None if it ends or takes too long."""
         assert process.stdout is not None
         watched = psutil.Process(process.pid)
-        began, used = time.monotonic(), _cpu_seconds(watched)
+        began, (before, _) = time.monotonic(), _use(watched)
         while not select.select([process.stdout], [], [], 0.25)[0]:
-            if time.monotonic() - began > WALL_SECONDS or _cpu_seconds(watched) - used > cpu_seconds:
+            used, megabytes = _use(watched)
+            if (
+                time.monotonic() - began > WALL_SECONDS
+                or used > cpu_seconds + before
+                or megabytes > MEGABYTES
+            ):
                 return None
         line = process.stdout.readline()
         if not line:
@@ -192,12 +195,13 @@ class Worker:
             self.process = None
 
 
-def _cpu_seconds(process: psutil.Process) -> float:
+def _use(process: psutil.Process) -> tuple[float, float]:
+    """Processor time that a process has used, s, and the memory that it has now, MB; zero if it has ended."""
     try:
-        times = process.cpu_times()
+        times, memory = process.cpu_times(), process.memory_info()
     except psutil.Error:
-        return 0.0
-    return float(times.user + times.system)
+        return 0.0, 0.0
+    return float(times.user + times.system), memory.rss / 1e6
 
 
 def _listing(folder: Path, without: Path) -> set[tuple[str, int, int]]:
@@ -224,8 +228,9 @@ def _judged(
 ) -> Outcome:
     """The outcome of a command, from its exit status and from what it printed and wrote."""
     code, trace = reply["code"], reply["trace"]
-    if reply.get("timeout"):
-        return Outcome("timed out", _last_frame(errors), errors[-3000:])
+    if ended := reply.get("ended"):
+        where = f"{ended} at {_last_frame(errors)}"
+        return Outcome("timed out" if ended == "too long" else "crashed", where, errors[-3000:])
     if trace or code not in (0, 1, 2) or _PANIC.search(errors):
         what = (
             _raised(trace)
@@ -235,6 +240,8 @@ def _judged(
             else "printed a traceback"
         )
         return Outcome("crashed", what, trace + errors[-3000:])
+    if reply["megabytes"] > MEGABYTES:
+        return Outcome("crashed", "too large", f"{reply['megabytes']} MB\n{errors[-3000:]}")
     for rule, kept in _rules(reply, output, errors, changed, as_json):
         if not kept:
             return Outcome("misbehaved", rule, f"{reply}\n{changed}\n{output[:500]}\n{errors[:2000]}")
@@ -255,7 +262,6 @@ def _rules(
     yield "what is printed is printable", all(line.isprintable() for line in printed.split("\n"))
     yield "nothing is written elsewhere", not reply["written"] and not changed
     yield "nothing is started", not reply["started"]
-    yield "memory is bounded", reply["megabytes"] <= MEGABYTES
     if as_json and output:
         yield "one JSON object", output.count("\n") == 1 and isinstance(json.loads(output), dict)
 

@@ -99,3 +99,21 @@ profiles: [{table: {file: demand.csv}}]
 controller: {formulation: copperplate}
 """
 TINY_DEMAND = "town.p\n10\n20\n30\n40\n"
+STAMPED = "time,town.p,town.q\n" + "".join(
+    f"2025-03-29T{n:02}:00+01:00,{50 + n},{10 + n / 8}\n" for n in range(8)
+)
+QUARTERS = "time,town.p\n" + "".join(
+    f"2025-03-29T{n // 4:02}:{n % 4 * 15:02}+01:00,{50 + n}\n" for n in range(32)
+)
+UNITS = """\
+currency: EUR
+network:
+  base_mva: 100
+  buses: {a: {vm: [0.95 pu, 1.05 pu], base_kv: 110 kV, reference: true}}
+  generators: {unit: {bus: a, p: [0, 1.2 GW], ramp: 5 MW/min, cost: {c2: 0.01 EUR/MW²h, c1: 40 EUR/MWh}}}
+  storages: {cell: {bus: a, energy: 200 MWh, power: [-500 kW, 0.5 pu], charge_efficiency: 95 %, initial: 25% of energy}}
+  loads: {town: {bus: a, p: 100 MW, q: 20 MVAr}}
+time: {start: 2025-03-29T00:00, zone: Europe/Berlin, step: 60 min, steps: 3, at_end: repeat}
+profiles: [{table: {file: t.csv}}]
+controller: {horizon: 2, formulation: dc, end: {price: 0.03 EUR/kWh}, elastic: {shedding: 9 kEUR/MWh}}
+"""

@@ -13,6 +13,7 @@ import sys
 import zipfile
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,18 @@ FOUND = sorted((Path(__file__).parent / "found").glob("*/case.json"))
 def pool(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pool]:
     """Two workers without the libraries that take long to import."""
     with Pool(tmp_path_factory.mktemp("fuzz"), 2, ["matplotlib.font_manager"]) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def large_pool(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pool]:
+    """A worker with all libraries."""
+    imports = [
+        name
+        for name in ("matplotlib.font_manager", "pandapower", "pypsa")
+        if find_spec(name.partition(".")[0])
+    ]
+    with Pool(tmp_path_factory.mktemp("fuzz"), 1, imports) as made:
         yield made
 
 
@@ -78,8 +91,9 @@ def test_more_mutated_inputs_are_accepted_or_refused(
 
 
 @pytest.mark.parametrize("path", FOUND, ids=[path.parent.name for path in FOUND])
-def test_faults_found_earlier_stay_mended(path: Path, pool: Pool) -> None:
+def test_faults_found_earlier_stay_mended(path: Path, request: pytest.FixtureRequest) -> None:
     about = json.loads(path.read_text())
+    pool = request.getfixturevalue("large_pool" if about.get("requires") else "pool")
     for module in about.get("requires", ()):
         pytest.importorskip(module)
     folder = path.parent / "input"
@@ -141,6 +155,8 @@ WRONG = {
     "panics": ("class P(BaseException): pass\n    raise P", "crashed", "P at"),
     "dies": ("import os; os.abort()", "crashed", "exit status -6"),
     "allocates": ("bytearray(10**10)", "crashed", "MemoryError"),
+    "fills": ("b'x' * 400_000_000\n    raise SystemExit(0)", "crashed", "too large"),
+    "fills and waits": ("a = b'x' * 400_000_000\n    while a: pass", "crashed", "too large at cli.py"),
     "waits": ("while True: pass", "timed out", "cli.py"),
     "says nothing": ("import sys; sys.exit(2)", "misbehaved", "message"),
     "spams": (
@@ -182,7 +198,8 @@ def test_what_a_command_does_wrong_is_noticed(
     name: str, impostor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", os.fspath(impostor))
-    monkeypatch.setattr("fuzz.run.CPU_SECONDS", 0.5)
+    monkeypatch.setattr("fuzz.run.CPU_SECONDS", 1.0)
+    monkeypatch.setattr("fuzz.run.MEGABYTES", 300.0)
     worker = Worker(tmp_path)
     try:
         outcome = worker.run({}, [f"f{list(WRONG).index(name)}"])

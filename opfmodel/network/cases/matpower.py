@@ -391,6 +391,10 @@ class _Parser:
                 lines[odd_row], f"{whose}: the row has {widths[odd_row]} numbers; the other rows have {usual}"
             )
         if not (_plain(body) and (values := _floats(words)) is not None):
+            blank = _ODD_BLANK.search(body)  # separates words in Python, but not in MATLAB
+            if blank:
+                at_line = line + body.count("\n", 0, blank.start()) + body.count("\f", 0, blank.start())
+                raise self._error(at_line, f"mpc.{name}: {blank[0]!a} is not accepted between numbers")
             at, word = next((i, w) for i, w in enumerate(words) if not _NUMBER.fullmatch(w))
             row_at = at // widths[0]
             raise self._error(
@@ -407,6 +411,7 @@ class _Parser:
         return CaseError(f"{self.case.path}:{line}: {what}")
 
 
+_ODD_BLANK = re.compile(r"[^\S \t\n\f]")
 _DIGITS = str.maketrans("", "", "0123456789+-.eE \t\n\f;")
 
 

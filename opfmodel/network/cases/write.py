@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
@@ -14,7 +15,7 @@ from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, 
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
-__all__ = ["write_network"]
+__all__ = ["find_losses", "tables_of", "write_network"]
 
 
 def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> Path:
@@ -44,18 +45,11 @@ def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> 
     plain = all(re.fullmatch("[1-9][0-9]{0,14}", name) for name in names)
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
     losses = Losses(str(path), writing=True)
-    _find_losses(network, losses)
+    find_losses(network, losses)
     losses.settle(lossy)
     if not plain:
         warn(f"{path}: buses are numbered from 1 in order of declaration")
-    tables = {
-        "version": 2,
-        "baseMVA": network.base_mva,
-        "bus": _bus_rows(network, ids),
-        "gen": [_generator_row(g, names, ids, network.base_mva) for g in network.of(Generator).values()],
-        "branch": [_branch_row(b, ids) for b in network.of(Branch).values()],
-        "gencost": _cost_rows(network.of(Generator).values()),
-    }
+    tables = tables_of(network, ids)
     module = powerio.PioModule.from_value(powerio.from_ppc(tables))
     emitted = powerio.emit(module, "matpower")
     for diagnostic in emitted.diagnostics:
@@ -68,7 +62,26 @@ def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> 
     return path
 
 
-def _find_losses(network: Network, losses: Losses) -> None:
+def tables_of(network: Network, ids: Mapping[str, int]) -> dict[str, Any]:
+    """Return the tables of MATPOWER as rows of numbers, without storages.
+
+    Parameters
+    ----------
+    ids
+        Number of each bus.
+    """
+    buses, generators = network.of(Bus), network.of(Generator).values()
+    return {
+        "version": 2,
+        "baseMVA": network.base_mva,
+        "bus": _bus_rows(network, ids),
+        "gen": [_generator_row(g, buses, ids, network.base_mva) for g in generators],
+        "branch": [_branch_row(b, ids) for b in network.of(Branch).values()],
+        "gencost": _cost_rows(generators),
+    }
+
+
+def find_losses(network: Network, losses: Losses) -> None:
     """Report what a MATPOWER case cannot represent."""
     for kind in network.kinds():
         if kind not in BUILT_IN:

@@ -15,6 +15,7 @@ from opfmodel.network.cases.pypsa.components import Converter
 from opfmodel.network.cases.pypsa.file import is_pypsa, load
 from opfmodel.network.cases.pypsa.snapshots import steps_of
 from opfmodel.network.cases.pypsa.source import PREFIXES, UNNAMED, Source
+from opfmodel.network.cases.pypsa.tables import check_tables
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
@@ -105,6 +106,7 @@ def _convert(
         first = n.scenarios[0]
         losses.add(f"{len(n.scenarios)} scenarios: only {first!r} is read")
         n = n.get_scenario(first)
+    check_tables(n, title)
     try:
         hours, calendar = steps_of(n, title, losses)
         source = Source(n, title, hours)
