@@ -4,12 +4,13 @@
 # make check  check style, types and layers
 # make table  run the closed loops of the paper's four systems; write docs/paper-table.md
 # make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
+# make generated  write JSON Schemas and the tables of the documentation from declarations
 # make pglib  solve every available PGLib case; write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
 SECONDS ?= 300
 
-.PHONY: run test test-slow fuzz check table bench pglib clean
+.PHONY: run test test-slow fuzz check table bench generated pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -35,6 +36,9 @@ table: .venv/.run
 bench: .venv/.bench
 	for name in compile receding growth peers warm_start profile backends study page; do \
 		$(BIN)/python -m benchmarks.$$name || exit 1; done
+
+generated: .venv/.run
+	$(BIN)/python docs/generate.py
 
 pglib: .venv/.run
 	$(BIN)/python -m benchmarks.pglib

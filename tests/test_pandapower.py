@@ -599,7 +599,6 @@ def test_units_without_cost() -> None:
     ("change", "message"),
     [
         (lambda net: net.gen.drop(columns=["max_p_mw"], inplace=True), "no min_p_mw or max_p_mw .*: 'gen0'"),
-        (lambda net: net.ext_grid.__setitem__("va_degree", 30.0), "'ext_grid0': va_degree = 30"),
         (
             lambda net: pp.create_storage(net, 1, 1, max_e_mwh=1),
             "not controllable hold their power: 'storage0'",

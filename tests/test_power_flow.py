@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -220,28 +221,45 @@ def test_a_distributed_slack_is_shared_by_capacity_or_participation() -> None:
     assert unbalanced(flow) < 1e-6
 
 
+def compare_with_pandapower(theirs: Any, flow: om.PowerFlowResult) -> None:
+    """Compare the buses of the JSON with those of pandapower, in its order."""
+    buses = flow.summary()["buses"]
+    results = theirs.res_bus
+    assert len(buses) == len(results)
+    vm, va = (np.array([np.nan if b[q] is None else b[q] for b in buses]) for q in ("vm", "va"))
+    dead = np.isnan(results["vm_pu"].values)
+    assert np.array_equal(np.isnan(vm), dead)
+    assert np.nanmax(np.abs(vm - results["vm_pu"].values)) < 1e-6
+    assert np.nanmax(np.abs(va - results["va_degree"].values)) < 1e-5
+
+
+def pandapower_network(name: str) -> Any:
+    made = getattr(pytest.importorskip("pandapower.networks"), name)()
+    return made[0] if isinstance(made, tuple) else made
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "case9", "case118", "create_cigre_network_hv", "create_cigre_network_mv", "create_cigre_network_lv",
+        "mv_oberrhein", "example_simple", "example_multivoltage", "create_kerber_landnetz_freileitung_1",
+    ],
+)  # fmt: skip
+def test_a_power_flow_agrees_with_pandapower_bus_by_bus(name: str) -> None:
+    theirs = pandapower_network(name)
+    pytest.importorskip("pandapower").runpp(theirs, calculate_voltage_angles=True, tolerance_mva=1e-9)
+    compare_with_pandapower(theirs, om.power_flow(om.from_pandapower(theirs)))
+
+
 def test_a_distributed_slack_agrees_with_pandapower() -> None:
-    pandapower = pytest.importorskip("pandapower")
-    grids = pytest.importorskip("pandapower.networks")
-    theirs = grids.case39()
+    theirs = pandapower_network("case39")
     theirs.gen["slack_weight"] = np.linspace(0, 2, len(theirs.gen))
     theirs.ext_grid["slack_weight"] = 0.7
-    pandapower.runpp(theirs, distributed_slack=True, tolerance_mva=1e-9)
-    ours = om.from_pandapower(theirs, default_cost=om.Polynomial(), lossy=True)
-    weights = {**_weights(theirs, ours)}
-    flow = om.power_flow(ours, slack="distributed", participation=weights)
-    data = flow.data.isel(time=0)
-    assert np.abs(data["vm"].values - theirs.res_bus["vm_pu"].values).max() < 1e-8
-    assert np.abs(data["va"].values - theirs.res_bus["va_degree"].values).max() < 1e-6
-
-
-def _weights(theirs, ours: om.Network) -> dict[str, float]:
-    """Weights of pandapower by the bus of the unit."""
-    by_bus = {}
-    for table in (theirs.gen, theirs.ext_grid):
-        by_bus |= dict(zip(table["bus"], table["slack_weight"], strict=True))
-    names = list(ours.of(om.Bus))
-    return {n: by_bus[names.index(u.bus)] for n, u in ours.of(om.Generator).items()}
+    pytest.importorskip("pandapower").runpp(theirs, distributed_slack=True, tolerance_mva=1e-9)
+    flow = om.power_flow(om.from_pandapower(theirs), slack="distributed")
+    compare_with_pandapower(theirs, flow)
+    shared = [theirs.res_gen["p_mw"].values - theirs.gen["p_mw"].values, theirs.res_ext_grid["p_mw"].values]
+    assert sum(flow.slack.values()) == pytest.approx(np.concatenate(shared).sum(), abs=1e-4)
 
 
 # Limits of reactive power ------------------------------------------------------------------------

@@ -208,8 +208,9 @@ class Network:
     def aliases(self) -> Mapping[str, str | None]:
         """Bus that carries each bus of the source, None for a dead one, in the order of the source.
 
-        Readers fill it where buses of the source are fused by closed switches or without supply: it
-        then has an entry for every bus, also for those that carry themselves. Otherwise it is empty.
+        Readers fill it where buses of the source are fused by closed switches or without supply, and where
+        the network has buses that the source does not list: it then has an entry for every bus of the
+        source, also for those that carry themselves. Otherwise it is empty.
         """
         return MappingProxyType(self._aliases)
 

@@ -94,11 +94,13 @@ class PowerFlowResult:
 
         Buses, branches and generators are in the order of the network, or buses in that of its source where
         :attr:`Network.aliases <opfmodel.Network.aliases>` has one: those that were fused repeat the values of
-        the bus that carries them. The quantities of what is out of service are None.
+        the bus that carries them. The quantities of what is out of service are None. Angles are between -180
+        and 180 degrees, as PYPOWER and pandapower report them.
         """
         network = self.network
         carried = network.aliases or {name: name for name in network.of(Bus)}
-        data = self.data.assign(loading=self.loading.expand_dims("time"))
+        turned = (self.data["va"] + 180.0) % 360.0 - 180.0
+        data = self.data.assign(va=turned, loading=self.loading.expand_dims("time"))
         return {
             "status": self.status,
             "max_mismatch": self.max_mismatch,

@@ -26,6 +26,18 @@ __all__ = ["finite", "load", "save"]
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
 
+# What the NetCDF libraries raise for damaged files.
+_DAMAGE = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RuntimeError,
+    MemoryError,
+)
+
 
 def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` to a folder, creating it if necessary.
@@ -107,7 +119,7 @@ def load(folder: str | Path) -> xr.Dataset:
         with h5py.File(path, "r") as file:
             dict(file.attrs)
         data = xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError, RuntimeError, MemoryError) as error:
+    except _DAMAGE as error:
         raise ResultError(f"{path}: not a result of opfmodel: the NetCDF file is damaged") from error
     try:
         check_trajectories(data)

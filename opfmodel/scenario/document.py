@@ -171,7 +171,7 @@ def validated(document: Document, content: Any, model: type[Model], basis: Basis
     Raises
     ------
     ScenarioError
-        The whole content is invalid, or so much of it that there is no result.
+        So much is invalid that there is no result.
     """
     faults = document.faults
     for _ in range(_MOST_ROUNDS):
@@ -184,7 +184,7 @@ def validated(document: Document, content: Any, model: type[Model], basis: Basis
             sort = of_branches[0]["type"]
             if not faults.broken(*key):
                 faults.add(document.fault(key, _explained(of_branches, key, model)))
-            if not key:
+            if not key:  # nothing is left without it
                 raise faults.error()
             if sort == "extra_forbidden":  # what it stands for is not missing, and its default is not meant
                 for meant in close(str(key[-1]), _model_at(model, key[:-1]).model_fields):

@@ -86,8 +86,11 @@ def make_profiles(
     """
     faults = document.faults
     sections = ("network", "time", "controller", "profiles")
+    found = len(faults)
     with faults:
         _check_size(document, settings, network)
+    if len(faults) > found:
+        raise faults.error()  # nothing of this length can be built, not even to check the rest
     book = Workbook(network, grid, document.path.parent)
     if not faults.broken("time"):
         with faults, document.located("time", "steps"):

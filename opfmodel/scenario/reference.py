@@ -7,23 +7,12 @@ exists, is left to :func:`opfmodel.scenario.load_scenario`.
 
 from __future__ import annotations
 
-import inspect
 import json
 from collections.abc import Collection, Mapping
-from dataclasses import MISSING, Field
-from typing import Any, get_type_hints
+from typing import Any
 
-from pydantic import ConfigDict, PydanticInvalidForJsonSchema, TypeAdapter
-
-from opfmodel.errors import PluginError
-from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN
-from opfmodel.network.costs import COEFFICIENT_UNITS, POINT_UNITS
-from opfmodel.network.describe import bounds_of, unit_of
-from opfmodel.network.quantities import quantity_schema
-from opfmodel.plugins import plugins
-from opfmodel.plugins.catalogue import described, first_line
-from opfmodel.scenario.declarations import SHARE, component_kinds
+from opfmodel.scenario.component_schema import add_components, components, kind_schemas
+from opfmodel.scenario.plugin_schema import plugin_schemas, without_titles
 from opfmodel.scenario.schema import MOST_VARIANTS, ScenarioFile
 
 __all__ = ["DIALECT", "PARTIAL", "scenario_schema", "section_keys"]
@@ -32,7 +21,6 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PARTIAL = "overrides"
 """Name of the schema of a variant: a scenario of which nothing is required."""
 
-_SORTS = ("objective", "profile", "forecast", "plant")
 Schema = dict[str, Any]
 
 
@@ -44,9 +32,9 @@ def scenario_schema(origins: Collection[str] | None = None) -> Schema:
     origins
         Distributions whose plugins and components are known; all that are installed by default.
     """
-    keys = _without_titles(ScenarioFile.model_json_schema())
-    defs = {**keys.pop("$defs"), **_kinds(origins), **_plugins(origins)}
-    _add_components(defs["NetworkSection"], _components(origins))
+    keys = without_titles(ScenarioFile.model_json_schema())
+    defs = {**keys.pop("$defs"), **kind_schemas(origins), **plugin_schemas(origins)}
+    add_components(defs["NetworkSection"], components(origins))
     partial = {name: _partial(schema) for name, schema in {**defs, PARTIAL: keys}.items()}
     differ = _differing(defs, partial)
     made = {name: _resolved(schema, set()) for name, schema in defs.items()}
@@ -78,207 +66,6 @@ def section_keys(
             if name.endswith("Section"):
                 found |= section_keys(schema, schema["$defs"][name]["properties"], inside, named)
     return found
-
-
-# Components -------------------------------------------------------------------------------------------
-
-
-def _components(origins: Collection[str] | None) -> list[type[Component]]:
-    known = {
-        plugin.name for plugin in plugins("device").values() if origins is None or plugin.origin in origins
-    }
-    return [kind for kind in component_kinds()[0] if kind in BUILT_IN or kind.kind in known]
-
-
-def _kinds(origins: Collection[str] | None) -> dict[str, Schema]:
-    return {kind.kind: _component(kind) for kind in _components(origins)}
-
-
-def _component(kind: type[Component]) -> Schema:
-    """Schema of a component: types always, bounds only in service, as the classes check them."""
-    fields = kind.fields()
-    bounds = {name: bound for name, item in fields.items() if (bound := _bounds(item))}
-    out = {"properties": {"in_service": {"const": False}}, "required": ["in_service"]}
-    return {
-        "type": "object",
-        "description": first_line(kind),
-        "properties": {name: _field(item) for name, item in fields.items()},
-        "required": [name for name, item in fields.items() if item.default is MISSING],
-        "additionalProperties": False,
-        **({"if": out, "else": {"properties": bounds}} if bounds else {}),
-    }
-
-
-def _field(item: Field[Any]) -> Schema:
-    rules, described = item.metadata, _sentence(item)
-    number = _number(rules["unit"])
-    form: list[Schema]
-    if rules["form"] == "number":
-        form = [*_shared(number), *([{"type": "null"}] if rules["optional"] else [])]
-    elif rules["form"] == "span":
-        pair = {"type": "array", "items": {"anyOf": number}, "minItems": 2, "maxItems": 2}
-        form = [pair, *_shared(number)] if rules["symmetric"] else [pair]
-    elif rules["form"] == "cost":
-        form = _cost()
-    else:
-        form = [{"type": "boolean"}] if rules["form"] == "flag" else [{"type": "string"}, {"type": "integer"}]
-    made: Schema = form[0] if len(form) == 1 else {"anyOf": form}
-    default = {} if not isinstance(item.default, bool | int | float) else {"default": item.default}
-    return {"description": described, **default, **made}
-
-
-def _sentence(item: Field[Any]) -> str:
-    """Description of a field with its unit and bounds, as editors show it."""
-    facts = ", ".join(filter(None, (unit_of(item), bounds_of(item.metadata))))
-    text = str(item.metadata.get("description", ""))
-    return f"{text} [{facts}]".strip() if facts else text
-
-
-def _number(unit: str) -> list[Schema]:
-    return [{"type": "number"}, quantity_schema(unit)]
-
-
-def _shared(number: list[Schema]) -> list[Schema]:
-    """Schemas of a number that may also be a share of another field."""
-    return [*number, {"type": "string", "pattern": f"^{SHARE.pattern}$", "description": "share of a field"}]
-
-
-def _cost() -> list[Schema]:
-    coefficients = {name: {"anyOf": _number(unit)} for name, unit in COEFFICIENT_UNITS.items()}
-    point = {
-        "type": "array",
-        "prefixItems": [{"anyOf": _number(unit)} for unit in POINT_UNITS],
-        "minItems": len(POINT_UNITS),
-        "maxItems": len(POINT_UNITS),
-    }
-    return [
-        {"type": "object", "properties": coefficients, "additionalProperties": False},
-        {
-            "type": "object",
-            "properties": {"points": {"type": "array", "items": point}},
-            "required": ["points"],
-            "additionalProperties": False,
-        },
-    ]
-
-
-def _bounds(item: Field[Any]) -> Schema:
-    """Bounds of the numbers of a field; text with a unit is not compared."""
-    words = {"at_least": "minimum", "above": "exclusiveMinimum", "at_most": "maximum"}
-    bounds = {
-        word: item.metadata[rule]
-        for rule, word in words.items()
-        if abs(item.metadata.get(rule, float("inf"))) < float("inf")
-    }
-    return {"prefixItems": [bounds]} if bounds and item.metadata["form"] == "span" else bounds
-
-
-def _add_components(network: Schema, kinds: list[type[Component]]) -> None:
-    """Give the schema of the network its sections of components, by name."""
-    may_be_empty = {"type": ["object", "null"]}  # a null has no members to check
-    for kind in kinds:
-        network["properties"][kind.plural] = {
-            "description": f"{kind.plural} by name",
-            **may_be_empty,
-            "additionalProperties": {"$ref": f"#/$defs/{kind.kind}"},
-        }
-    fields = [{"$ref": f"#/$defs/{kind.kind}", "x-partial": True} for kind in kinds]
-    network["properties"]["update"] |= {**may_be_empty, "additionalProperties": {"anyOf": fields}}
-    network["additionalProperties"] = False
-
-
-# Plugins ----------------------------------------------------------------------------------------------
-
-
-def _plugins(origins: Collection[str] | None) -> dict[str, Schema]:
-    """Schemas of the options of plugins, as ``objective-economic``, and of where plugins are chosen."""
-    classes: dict[str, dict[str, Any]] = {sort: {} for sort in (*_SORTS, "formulation")}
-    for sort, found in classes.items():
-        for name, plugin in plugins(sort).items():
-            if origins is None or plugin.origin in origins:
-                try:
-                    found[name] = plugin.load()
-                except PluginError:  # it cannot be used either
-                    continue
-    beside = [sort for sort in _SORTS if sort != "plant"]
-    made = {f"{sort}-{name}": _options(cls) for sort in beside for name, cls in classes[sort].items()}
-    chosen = {sort: _chosen(sort, classes[sort]) for sort in beside}
-    weighted = _one_of("objective", classes["objective"])
-    weighted["properties"]["weight"] = {"type": "number", "minimum": 0, "description": "factor of this part"}
-    weighted["maxProperties"] = 2
-    parts = {"type": "array", "items": {"anyOf": [_bare(classes["objective"]), weighted]}, "minItems": 1}
-    chosen["objective"]["anyOf"].append(parts)
-    return {
-        **made,
-        **chosen,
-        "plant": _plant(classes["plant"]),
-        "formulation": {"enum": list(classes["formulation"])},
-    }
-
-
-def _options(cls: type[Any]) -> Schema:
-    """Schema of the options of a plugin: the parameters of its constructor."""
-    hints, texts = get_type_hints(cls.__init__, include_extras=True), described(cls)
-    properties, required = {}, []
-    for name, option in inspect.signature(cls).parameters.items():
-        properties[name] = {**_type(hints.get(name, Any)), "description": texts.get(name, "")}
-        if option.default is option.empty:
-            required.append(name)
-        elif isinstance(option.default, bool | int | float | str):
-            properties[name]["default"] = option.default
-    return {
-        "type": "object",
-        "description": first_line(cls),
-        "properties": properties,
-        "required": required,
-        "additionalProperties": False,
-    }
-
-
-def _type(hint: Any) -> Schema:
-    """Schema of a type; anything where JSON Schema has no words for it."""
-    try:
-        adapter = TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
-        schema: Schema = _without_titles(adapter.json_schema())
-    except PydanticInvalidForJsonSchema:
-        return {}
-    return schema
-
-
-def _bare(classes: Mapping[str, Any]) -> Schema:
-    """Schema of a name that stands for a plugin without options."""
-    complete = [name for name, cls in classes.items() if not _options(cls)["required"]]
-    return {"enum": complete, "x-all": list(classes)}
-
-
-def _one_of(sort: str, classes: Mapping[str, Any]) -> Schema:
-    """Schema of a mapping from the name of one plugin to its options."""
-    return {
-        "type": "object",
-        "properties": {name: {"$ref": f"#/$defs/{sort}-{name}", "x-null": True} for name in classes},
-        "minProperties": 1,
-        "maxProperties": 1,
-        "additionalProperties": False,
-    }
-
-
-def _chosen(sort: str, classes: Mapping[str, Any]) -> Schema:
-    return {"anyOf": [_bare(classes), _one_of(sort, classes)]}
-
-
-def _plant(classes: Mapping[str, Any]) -> Schema:
-    """Schema of the plant, whose options are beside its mode."""
-    modes = []
-    for name, cls in classes.items():
-        options = _options(cls)
-        options["properties"] = {"mode": {"const": name}, **options["properties"]}
-        if name != "nominal":
-            options["required"] = ["mode", *options["required"]]
-        modes.append(options)
-    return {"anyOf": [_bare(classes), *modes]}
-
-
-# From the schemas of pydantic to one JSON Schema -------------------------------------------------------
 
 
 def _partial_name(name: str) -> str:
@@ -353,12 +140,3 @@ def _resolved(schema: Any, differ: set[str]) -> Any:
     elif sort and sort != "update":
         made |= reference(sort)
     return made
-
-
-def _without_titles(schema: Any) -> Any:
-    """Schema without the titles that pydantic makes of names."""
-    if isinstance(schema, list):
-        return [_without_titles(part) for part in schema]
-    if not isinstance(schema, dict):
-        return schema
-    return {k: _without_titles(v) for k, v in schema.items() if not (k == "title" and isinstance(v, str))}

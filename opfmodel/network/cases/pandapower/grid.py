@@ -104,23 +104,31 @@ class Grid:
         limits = self._voltage_limits()
         references = self._references()
         for row, name in list(self.names.items()):
-            self._declare_bus(network, name, row, limits[row], row in references)
-        self._alias(network)
+            self._declare_bus(network, name, row, limits[row], references.get(row))
+        aliases = self._aliases()
         for name, row, neighbour in self.inner_buses():
             self.names[row] = name
             self._declare_bus(network, name, row, limits[neighbour])
         for name, row, limited in self._branch_rows():
             self._declare_branch(network, name, self._branch[row], limited)
+        if any(name != bus for name, bus in aliases.items()) or len(network.of(Bus)) > len(aliases):
+            network.alias(aliases)
         self._report_references(references)
 
     def _declare_bus(
-        self, network: Network, name: str, row: int, vm: tuple[float, float], reference: bool = False
+        self, network: Network, name: str, row: int, vm: tuple[float, float], reference: Row | None = None
     ) -> None:
-        base_kv = self.base_kv(row) or None
-        network.add(name, Bus(vm=vm, base_kv=base_kv, reference=reference, in_service=self.alive(row)))
+        bus = Bus(
+            vm=vm,
+            base_kv=self.base_kv(row) or None,
+            reference=reference is not None,
+            va_set=0.0 if reference is None else reference.number("va_degree", 0.0),
+            in_service=self.alive(row),
+        )
+        network.add(name, bus)
 
-    def _alias(self, network: Network) -> None:
-        """State which bus carries each bus of the table, if any is fused or without supply."""
+    def _aliases(self) -> dict[str, str | None]:
+        """Return which bus carries each bus of the table."""
         aliases: dict[str, str | None] = {}
         dead = []
         for bus in self.source.rows("bus"):
@@ -133,8 +141,7 @@ class Grid:
                 f"{self.source.where}: no connection to an external grid, therefore out of service: "
                 f"{listed(map(repr, dead))}"
             )
-        if any(name != bus for name, bus in aliases.items()):
-            network.alias(aliases)
+        return aliases
 
     def _voltage_limits(self) -> dict[int, tuple[float, float]]:
         """Voltage limits of the rows: the tightest of the fused buses and of their generators."""
@@ -176,7 +183,7 @@ class Grid:
             )
 
     def _report_references(self, references: Mapping[int, Row]) -> None:
-        """Report references beyond the first of an island, and angles other than zero."""
+        """Report references beyond the first of an island."""
         from pandapower.pypower.idx_brch import BR_STATUS, F_BUS, T_BUS
 
         graph = nx.Graph()
@@ -190,11 +197,6 @@ class Grid:
                     f"{item.table} {item.name!r}: holds the angle of its bus, as {members[0].name!r} of the "
                     "same island does; an island has one reference bus"
                 )
-            for item in members[:1]:
-                if angle := item.number("va_degree", 0.0):
-                    warn(
-                        f"{item.label}: va_degree = {angle:g}: angles are relative to its bus, with 0 degrees"
-                    )
 
     def inner_buses(self) -> Iterator[tuple[str, int, int]]:
         """Buses inside of equipment: name, row, and the row of the bus whose voltage limits they have."""

@@ -78,6 +78,7 @@ class Units:
             q=row.limits("q_mvar"),
             cost=self.costs.of("ext_grid", row),
             vm_set=row.given("vm_pu"),
+            participation=row.number("slack_weight", 1.0),
             in_service=row.in_service,
         )
         network.add(row.name, generator)
@@ -93,6 +94,7 @@ class Units:
             cost=self.costs.of("gen", row),
             pg_set=p,
             vm_set=row.given("vm_pu"),
+            participation=row.number("slack_weight", 0.0),
             in_service=row.in_service,
         )
         network.add(row.name, generator)
@@ -203,6 +205,7 @@ class Units:
             f"{row.name}:source",
             p=(0.0, 0.0),
             pg_set=0.0,
+            participation=0.0,
             vm_set=row.given("vm_pu"),
             in_service=row.in_service and self.grid.alive(self.grid.row_of(row)),
         )
