@@ -205,7 +205,9 @@ class PhysicalStage:
         if kind.startswith("_"):
             raise AttributeError(kind)
         if kind not in self.network.tables:
-            raise ModelError(f"there is no component kind {kind!r}; {nearest(kind, self.network.tables)}")
+            raise ModelError(
+                f"there is no component kind {shown(kind)}; {nearest(kind, self.network.tables)}"
+            )
         return _PhysicalQuantities(self._model, kind)
 
     def has(self, name: str) -> bool:
@@ -321,7 +323,7 @@ def _select(stage: Stage, owner: str, quantity: str, key: str) -> list[tuple[str
     found = [(kind, index) for kind, index in members.items() if index.size]
     if not found and owner not in stage.network.left_out:
         near = nearest(owner, [*tables, *(name for table in tables.values() for name in table.names)])
-        raise ConstraintError(f"there is no component or kind {owner!r}; {near}", "terms", key)
+        raise ConstraintError(f"there is no component or kind {shown(owner)}; {near}", "terms", key)
     having = [(kind, index) for kind, index in found if quantity in getattr(stage, kind)]
     return having or found  # if none has the quantity, the first one raises the error
 

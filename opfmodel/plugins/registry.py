@@ -133,7 +133,7 @@ def load(sort: str, name: str) -> Any:
     """
     known = plugins(sort)
     if name not in known:
-        raise PluginError(f"there is no {_called(sort)} {name!r}; {nearest(name, known)}")
+        raise PluginError(f"there is no {_called(sort)} {shown(name)}; {nearest(name, known)}")
     return known[name].load()
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from opfmodel.data.columns import Columns
 from opfmodel.data.grid import Grid
 from opfmodel.data.series import SeriesKey
-from opfmodel.errors import ProfileError, nearest, raise_all
+from opfmodel.errors import ProfileError, nearest, raise_all, shown
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
 
@@ -58,7 +58,9 @@ class Workbook:
     def get(self, component: str, key: str) -> Array:
         """Return the current series of a field; constant if no rule has changed it."""
         if component not in self.network:
-            raise ProfileError(f"no component is named {component!r}; {nearest(component, self.network)}")
+            raise ProfileError(
+                f"no component is named {shown(component)}; {nearest(component, self.network)}"
+            )
         name = SeriesKey(component, key)
         if name not in self.series:
             return np.full(self.steps, self.network[component].constant(key))
@@ -84,7 +86,7 @@ class Workbook:
         def errors() -> Iterator[ProfileError]:
             for number, name in enumerate(names or ()):
                 if name not in known:
-                    error = ProfileError(f"no load is named {name!r}; {nearest(name, known)}")
+                    error = ProfileError(f"no load is named {shown(name)}; {nearest(name, known)}")
                     error.key = ("loads", number)
                     yield error
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from opfmodel.data.calendar import zone_of
 from opfmodel.data.writing import replace
-from opfmodel.errors import ResultError, nearest
+from opfmodel.errors import ResultError, nearest, shown
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -245,7 +245,7 @@ def _buses(data: xr.Dataset, names: Sequence[str] | None) -> list[str]:
     if names is not None:
         for name in names:
             if name not in known:
-                raise ResultError(f"no bus is named {name!r}; {nearest(name, known)}")
+                raise ResultError(f"no bus is named {shown(name)}; {nearest(name, known)}")
         return list(names)
     if len(known) <= _MOST_LINES:
         return known

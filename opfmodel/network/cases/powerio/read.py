@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel.data.files import check_file, is_folder
-from opfmodel.errors import CaseError, OpfmodelError, listed
+from opfmodel.errors import CaseError, OpfmodelError, listed, shown
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.matpower import CaseFile, read_case
 from opfmodel.network.cases.powerio.components import Reader
@@ -90,7 +90,7 @@ def _reason(error: Exception, format: str | None) -> str:
     """Describe why powerio cannot read a file, without its error codes."""
     code = getattr(error, "code", None)
     if code == _UNKNOWN_FORMAT:
-        unknown = "the format cannot be inferred" if format is None else f"no format is named {format!r}"
+        unknown = "the format cannot be inferred" if format is None else f"no format is named {shown(format)}"
         return f"cannot be read as a network: {unknown}; accepted are {_FORMATS}"
     return f"cannot be read as a network: {str(error).removeprefix(f'{code}: ')}"
 
