@@ -282,7 +282,7 @@ def test_list(call: Call) -> None:
         (("plot", "/dev/zero"), "is a device"),
         (("frobnicate",), "No such command"),
         (("solve",), "Missing argument"),
-        (("solve", CASE14, "--horizon", "x"), "Invalid value for '--horizon'"),
+        (("solve", CASE14, "--horizon", "x"), "Invalid value for '--horizon': 'x': must be an integer"),
         (("plot", "nowhere"), "no such file"),
     ],
 )

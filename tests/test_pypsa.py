@@ -474,7 +474,7 @@ def test_invalid_values_of_series_are_errors_with_their_step() -> None:
 @pytest.mark.parametrize(
     ("file", "message"),
     [
-        ("loads-p_set.csv", r"loads c: 2025-03-29 00:00:00: 'much': must be a number"),
+        ("loads-p_set.csv", r"Load p_set of 'c': 'much' at 2025-03-29 00:00:00: must be a number"),
         ("generators.csv", r"cannot be read as a PyPSA network: .*much"),
         ("snapshots.csv", r"snapshot_weightings \w+: .*'much': must be a number"),
     ],

@@ -23,7 +23,7 @@ from opfmodel.objectives.base import WeightedSum
 from opfmodel.scenario import declarations
 from opfmodel.scenario.schema import ScenarioFile
 
-_, _, CASE5 = (SCENARIOS / "case5-step.yaml").read_text().partition("\n")  # without the line for editors
+CASE5 = (SCENARIOS / "case5-step.yaml").read_text()
 MINIMAL = "network:\n  buses: {a: {}}\n  generators: {g: {bus: a, p: [0, 9]}}\n"
 
 

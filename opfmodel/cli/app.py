@@ -7,13 +7,13 @@ import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from io import TextIOWrapper
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
 from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
-from opfmodel.errors import Fault, OpfmodelError
+from opfmodel.errors import Fault, OpfmodelError, shown
 
 __all__ = ["app", "main"]
 
@@ -101,10 +101,20 @@ def _mistakes(error: Exception) -> tuple[Fault, ...]:
     if isinstance(error, OpfmodelError):
         return error.faults
     if hasattr(error, "format_message"):  # wrong usage of the command line
-        return (Fault(str(error.format_message())),)
+        return (Fault(_usage(error)),)
     from solvers import SolverError
 
     return (Fault(str(error)),) if isinstance(error, SolverError) else ()
+
+
+def _usage(error: Any) -> str:
+    """Message of wrong usage; Typer has the values of options checked by pydantic, in the words of that."""
+    for fault in error.__cause__.errors()[:1] if hasattr(error.__cause__, "errors") else ():
+        from opfmodel.data.faults import fault_message
+
+        own = fault["type"] == "value_error"  # the words of Typer, with the value
+        error.message = fault_message(fault) if own else f"{shown(fault['input'])}: {fault_message(fault)}"
+    return str(error.format_message())
 
 
 def _fail(faults: Sequence[Fault], as_json: bool, code: int = 2) -> NoReturn:

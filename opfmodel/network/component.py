@@ -79,7 +79,9 @@ class Component:
         """Add a section on the parameters to the docstring, from the descriptions of the fields."""
         super().__init_subclass__()
         own = {name: item for name, item in vars(cls).items() if isinstance(item, Field)}
-        cls.__doc__ = documented(cls.__doc__, {**getattr(cls, "__dataclass_fields__", {}), **own})
+        inherited = getattr(cls, "__dataclass_fields__", {})  # with those of the class itself, as of kind
+        declared = {name: item for name, item in {**inherited, **own}.items() if "form" in item.metadata}
+        cls.__doc__ = documented(cls.__doc__, declared)
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse unknown fields and suggest the closest known ones."""

@@ -83,7 +83,7 @@ _EXTRAS = _words(
     "pslf_circuit pslf_section_id ucte_element_name ucte_geographical_name ucte_order_code "
     "ucte_power_plant_type ucte_short_circuit_power ucte_xr_ratio ieee_cdf_circuit cgmes_class "
     # of pandapower, whose files without pandapower are checked before
-    "max_loading_percent tap_min tap_max vector_group std_type"
+    "tap_min tap_max vector_group std_type"
 )
 _TOPOLOGY = _words(
     "component_metadata subnetworks substations voltage_levels bus_breaker_buses calculated_buses "

@@ -32,9 +32,10 @@ def check_tables(n: Any, title: str) -> None:
             kind = types[attribute].__name__ if attribute in types.index else "str"
             if kind in _KINDS and column.dtype.kind not in _KINDS[kind]:
                 place, value = next(_odd(column, kind), (None, column.dtype))
+                owner = "" if column.name == attribute else f" of {shown(column.name)}"
+                where = "" if place is None else f" at {place}"
                 raise CaseError(
-                    f"{title}: {label} {attribute}: {shown(value)}{'' if place is None else f' at {place}'}: "
-                    f"must be {_NUMBERS[kind]}"
+                    f"{title}: {label} {attribute}{owner}: {shown(value)}{where}: must be {_NUMBERS[kind]}"
                 )
 
 
