@@ -144,7 +144,7 @@ def _parquet(path: Path) -> Iterator[Row]:
             for cells in zip(*map(_cells, batch.columns), strict=True):
                 number += 1
                 yield number, list(cells)
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, OverflowError) as error:  # the last by times out of range
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ProfileError(f"{path}: not a Parquet file, or damaged: {reason}") from error
 
