@@ -643,3 +643,11 @@ def test_reading_asks_nothing_of_the_internet(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         om.read_network(files[0])
+
+
+def test_series_of_unknown_components_are_errors(files: tuple[Path, Path]) -> None:
+    path = files[1] / "loads-p_set.csv"
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join([rows[0].replace("c", "cc"), *rows[1:]]))
+    with pytest.raises(CaseError, match=r"Load p_set: .*no such component"):
+        om.read_network(files[1])

@@ -94,10 +94,10 @@ def _load(path: Path) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Drop PyPSA's reports of progress, which are not warnings."""
+    """Drop what PyPSA logs: it may cite names that cannot be printed, and its tables are checked anyway."""
     logger = logging.getLogger("pypsa")
     level = logger.level
-    logger.setLevel(logging.WARNING)
+    logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from opfmodel.errors import CaseError, shown
+from opfmodel.errors import CaseError, nearest, shown
 
 __all__ = ["check_tables"]
 
@@ -14,7 +14,7 @@ _KINDS = {"float": "buif", "int": "buif", "bool": "b"}  # NumPy kinds of columns
 
 
 def check_tables(n: Any, title: str) -> None:
-    """Raise an error unless names are unique and the values of an attribute have its type.
+    """Raise an error unless names are unique, series have components, and values their types.
 
     Raises
     ------
@@ -27,6 +27,13 @@ def check_tables(n: Any, title: str) -> None:
             if not index.is_unique:
                 name = index[index.duplicated()][0]
                 raise CaseError(f"{title}: {label}{what}: the name {shown(name)} occurs twice")
+        for attribute, columns in _columns(components):
+            unknown = columns.difference(components.static.index)
+            if len(unknown):
+                near = nearest(str(unknown[0]), map(str, components.static.index))
+                raise CaseError(
+                    f"{title}: {label}{attribute}: {shown(unknown[0])}: no such component; {near}"
+                )
         types = components.defaults["typ"]
         for attribute, column in _values(components):
             kind = types[attribute].__name__ if attribute in types.index else "str"
