@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,9 @@ from distributions import install
 from hypothesis import settings
 
 import opfmodel as om
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell; tests press Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("opfmodel", deadline=None)  # machines are shared and noisy
 settings.load_profile("opfmodel")
