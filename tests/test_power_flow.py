@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel.check import check
 from opfmodel.cli.app import app
+from opfmodel.components import Component, at_bus, flag
 from opfmodel.errors import ModelError, ProfileError
 from opfmodel.network.cases.matpower import read_case
 from solvers import Evaluator, ProgramBuilder, ProgramError
@@ -395,6 +397,26 @@ def test_different_voltages_at_one_bus_are_noted() -> None:
 def test_options_that_do_not_fit_are_refused(options: dict, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         om.power_flow(two_areas(), **options)
+
+
+@dataclass(frozen=True)
+class Heater(Component):
+    """Equipment of another package."""
+
+    kind: ClassVar[str] = "heater"
+    plural: ClassVar[str] = "heaters"
+
+    bus: str = at_bus()
+    in_service: bool = flag(True)
+
+
+def test_equipment_of_other_packages_is_refused_by_name_unless_it_is_out_of_service() -> None:
+    grid = two_areas()
+    grid.stove = Heater("x1")
+    with pytest.raises(ModelError, match="stove: heaters have no set-points"):
+        om.power_flow(grid)
+    grid.update("stove", in_service=False)
+    assert om.power_flow(grid).converged
 
 
 def test_an_island_without_a_voltage_is_refused_by_name() -> None:
