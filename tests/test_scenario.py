@@ -413,3 +413,29 @@ def test_arrays_are_rebuilt_when_the_network_changes() -> None:
     assert after.load.p[after.load.position[name], 0] * after.base_mva == pytest.approx(7.0)
     with pytest.raises(ValueError, match="read-only"):
         after.load.p[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"energy": "400% of power_max", "power": 5}, 20),  # of a required field
+        ({"energy": 10, "power": 5, "energy_min": "20% of energy"}, 10),
+        ({"energy": "50% of power_max", "power": "50% of energy"}, "energy: '50% of power_max': is a share of a share"),
+        ({"energy": 10, "power": 5, "energy_min": "1% of energy", "initial": "9% of energy_min"}, "initial: .*of a share"),
+        ({"energy": "400% of power_max", "power": "x"}, "power: 'x': must be a pair"),
+        ({"energy": "400% of power_max", "power": 1, "energy_min": 5}, "energy_min: 5: must be at most energy = 4"),
+        ({"energy": "400% of pwer", "power": 1}, "energy: '400% of pwer': a storage has no number 'pwer'"),
+    ],
+)  # fmt: skip
+def test_a_share_of_a_required_field_and_of_other_shares(fields, expected, tmp_path: Path) -> None:
+    (tmp_path / "s.yaml").write_text(
+        "network: {buses: {a: {}}, generators: {g: {bus: a, p: [0, 9], cost: {c1: 1}}}}\n"
+        "controller: {formulation: copperplate}\n"
+    )
+    overrides = {"network.storages": {"cell": {"bus": "a", **fields}}}
+    if isinstance(expected, str):
+        with pytest.raises(ScenarioError, match=expected) as caught:
+            om.load_scenario(tmp_path / "s.yaml", overrides=overrides)
+        assert "required for a" not in str(caught.value)
+    else:
+        assert om.load_scenario(tmp_path / "s.yaml", overrides=overrides).network["cell"].energy == expected

@@ -272,7 +272,7 @@ class Component:
         required = {key for key, item in cls.fields().items() if item.default is MISSING}
         if not required <= values.keys() <= cls.fields().keys():
             raise_all(cls.errors_of_mapping(name, values))
-        component = cls(**cls._converted(values))
+        component = cls(**cls.converted(values))
         component.check_declared(name)
         return component
 
@@ -299,12 +299,13 @@ class Component:
         for key in missing:
             if key not in meant:
                 yield ComponentError(name, key, None, f"required for a {cls.kind}")
-        checked = {key: value for key, value in cls._converted(values).items() if key not in wrong}
+        checked = {key: value for key, value in cls.converted(values).items() if key not in wrong}
         in_service = values.get("in_service", True)
         yield from cls._errors(name, checked, in_service=not is_flag(in_service) or bool(in_service))
 
     @classmethod
-    def _converted(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+    def converted(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of known fields as a component holds them: lists as tuples, costs as objects."""
         known = cls.fields()
         return {key: plain_value(known[key], value) for key, value in values.items() if key in known}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from typing import Any
@@ -266,20 +266,18 @@ class Declarations:
             except ComponentError as error:
                 errors.append(error)
         wrong = {*shares, *(error.field for error in errors)}
-        known = {k: v for k, v in {**(others or {}), **plain}.items() if k not in shares}
+        stated = {**(others or {}), **plain}
+        stand_ins = _stand_ins(kind, [])
+        # with numbers in place of the shares, of which the field may be required
+        whole = {key: stand_ins[key] if key in shares else value for key, value in stated.items()}
+        faulty = bool(errors) or any(kind.errors_of_mapping(name, whole, wrong))
+        component = kind(**(stand_ins if faulty else kind.converted(whole)))
         for key, match in shares.items():
             try:
-                whole = kind.from_mapping(name, known)
+                plain[key] = _share(component, name, key, match, shares)
             except ComponentError as error:
                 errors.append(error)
-                whole = kind(**_stand_ins(kind, []))  # to check the name
-            try:
-                if match[2] == key:
-                    raise ComponentError(name, key, match[0], "is a share of itself; name another field")
-                plain[key] = _share(whole, name, key, match)
-            except ComponentError as error:
-                errors.append(error)
-        if errors:
+        if faulty or errors:
             errors += kind.errors_of_mapping(name, {**(others or {}), **plain}, wrong)
         raise_all(errors)
         return plain
@@ -293,8 +291,19 @@ SHARE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*of\s+(\w+)\s*")
 """A share of another field of the component: ``10% of p_max``."""
 
 
-def _share(component: Component, name: str, key: str, match: re.Match[str]) -> float:
-    """Return the number for which a share of another field stands."""
+def _share(component: Component, name: str, key: str, match: re.Match[str], shares: Collection[str]) -> float:
+    """Return the number for which a share of another field stands.
+
+    Parameters
+    ----------
+    shares
+        Fields that are shares, of which none can be one.
+    """
+    if match[2] == key:
+        raise ComponentError(name, key, match[0], "is a share of itself; name another field")
+    of = match[2] if match[2] in component.fields() else match[2].rpartition("_")[0]  # the end of a range
+    if of in shares:
+        raise ComponentError(name, key, match[0], "is a share of a share; name a field that is a number")
     try:
         number = float(match[1]) / 100.0 * component.constant(match[2])
     except ProfileError as error:
