@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import signal
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from distributions import install
 from hypothesis import settings
 
 import opfmodel as om
+from opfmodel import cli
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell; tests press Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -24,6 +27,8 @@ collect_ignore = ["plugins"]  # a distribution of its own, which test_plugins in
 DATA = Path(__file__).parent / "data"
 ROOT = Path(__file__).parent.parent
 SCENARIOS = ROOT / "scenarios"
+
+Call = Callable[..., tuple[int, str, str]]
 
 
 def two_bus() -> om.Network:
@@ -104,3 +109,17 @@ def grid() -> om.Network:
 @pytest.fixture
 def rich_grid() -> om.Network:
     return everything()
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    """Run a command in this process: exit status, standard output, standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["opfmodel", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(stop.value.code or 0), out, err
+
+    return run

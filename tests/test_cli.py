@@ -9,12 +9,11 @@ import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from conftest import DATA, SCENARIOS
+from conftest import DATA, SCENARIOS, Call
 
 from opfmodel import cli
 from opfmodel.cli.show import comparisons
@@ -24,22 +23,6 @@ from opfmodel.study.comparison import Comparison
 CASE14 = DATA / "pglib" / "pglib_opf_case14_ieee.m"
 CASE5 = SCENARIOS / "case5-step.yaml"
 SHORT = ("--set", "time.steps=3", "--set", "controller.horizon=6")
-
-Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    """Run a command in this process: exit status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["opfmodel", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(stop.value.code or 0), out, err
-
-    return run
 
 
 def test_solve_a_network_file(call: Call) -> None:

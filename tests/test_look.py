@@ -7,19 +7,17 @@ import json
 import re
 import sys
 import warnings
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import DATA, SCENARIOS
+from conftest import DATA, SCENARIOS, Call
 from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
-from opfmodel import cli
 from opfmodel.cli import installation
 from opfmodel.data.calendar import Calendar
 from opfmodel.errors import CaseError, CaseWarning, ResultError
@@ -34,22 +32,6 @@ CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m")])
 CASE14 = DATA / "pglib" / "pglib_opf_case14_ieee.m"
 CASE33 = DATA / "matpower" / "case33bw.m"
 CASE5 = SCENARIOS / "case5-step.yaml"
-
-Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    """Run a command in this process: exit status, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["opfmodel", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(stop.value.code or 0), out, err
-
-    return run
 
 
 def contents(network: om.Network) -> dict:

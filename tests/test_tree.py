@@ -402,3 +402,34 @@ def test_limits_of_a_long_stage_are_the_tightest_of_its_steps() -> None:
     assert data["generator", "p_max"][1].tolist() == pytest.approx([1.2, 0.9])
     assert data["storage", "energy"][0].tolist() == pytest.approx([1.2, 0.9])
     assert problem.solve().optimal
+
+
+def test_a_constraint_may_name_a_node_of_one_scenario() -> None:
+    horizon = HORIZONS["tree"]
+    last = int(horizon.leaves[-1])
+    series = futures(horizon, 2)
+    problem = om.MultiStage(grid(), horizon, profiles=demand(8, 1.0, 0))
+    problem.constrain("gas at the end", lambda s: s.generator.pg[:, [last]] >= [[0.0], [40.0]])
+    free = om.MultiStage(grid(), horizon, profiles=demand(8, 1.0, 0))
+    ahead = problem.expected(series)
+    before = free.solve(expected=ahead)
+    plan = problem.solve(expected=ahead)
+    assert plan.optimal
+    assert before.data["pg"].values[last, 1] < 39.0
+    assert plan.data["pg"].values[last, 1] == pytest.approx(40.0, abs=1e-4)
+    assert plan.objective > before.objective
+
+
+@pytest.mark.parametrize("kind", ["grid", "tree"])
+def test_a_soft_constraint_on_one_stage_costs_what_the_first_stage_does(kind: str) -> None:
+    horizon = {
+        "grid": om.Horizon.grid([1, 2, 3]),
+        "tree": om.Horizon.tree([1, 2, 3], {"low": 0.5, "high": 0.5}, common=2),
+    }[kind]
+    problem = om.MultiStage(grid(), horizon, formulation="dc", profiles=demand(6, 1.0, 0))
+    problem.constrain("impossible", lambda s: s.generator.pg[:, [2]] >= [[200.0], [0.0]])
+    plan = problem.elastic_twin(om.Elastic(limit=100.0, shedding=1000.0)).solve()
+    assert plan.optimal
+    (short,) = plan.shortages
+    assert str(short) == "constraint impossible is missed by 60.0"  # the rating of the only line is 140
+    assert short.cost == pytest.approx(60 * 100.0)

@@ -157,8 +157,8 @@ class Scenarios:
         forecast
             The forecast that issued them, from which paths are drawn.
         """
-        branching = np.flatnonzero([bool(name) for name in horizon.scenario])
-        common = int(horizon.step[branching].min(initial=horizon.steps))
+        begins = [*horizon.step[horizon.paths[0]].tolist(), horizon.steps]
+        common = begins[min(self.common, len(begins) - 1)]
         if self.draw is not None:
             return _drawn(self.draw, forecast, issued, time, common)
         times = actual.calendar

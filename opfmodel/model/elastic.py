@@ -96,7 +96,8 @@ class Soft:
     names
         Names to report, if the rows do not belong to components of the network.
     timed
-        Whether the columns of the rows are stages; if not, the sentences name no hour.
+        Whether the columns of the rows are stages; if not, the sentences name no hour, and each column is
+        penalised as the first stage is.
     """
 
     limit: str

@@ -442,7 +442,8 @@ class Model:
         soft, nodes = slack.soft, slack.nodes
         columns = self._columns(nodes) if columns is None else columns
         values = self.build.variable(slack.block, soft.members.size, columns, 0.0, np.inf)
-        self.penalise(self.penalty(soft, nodes) * values)
+        charged = nodes if soft.timed else np.zeros(columns, dtype=np.intp)
+        self.penalise(self.penalty(soft, charged) * values)
         self.slacks[slack.block] = slack
         return values
 

@@ -705,6 +705,7 @@ class MultiStage:
         """The problem of the expected future alone."""
         chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
         chain.risk = None  # of a single future there is none
+        chain.constraints = {}  # they may name nodes; without them it is still a start
         return chain
 
     def _check_request(self, request: Request, previous: Plan | None) -> None:

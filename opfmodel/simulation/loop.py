@@ -118,8 +118,10 @@ def check_first_stage(problem: MultiStage) -> None:
     horizon = problem.horizon
     if len(horizon.roots) > 1:
         raise HorizonError(
-            "a closed loop applies the first stage, which all futures must share", "scenarios", "common"
-        )
+            "common = 0: must be at least 1 in a closed loop, which applies the first stage: all futures "
+            "share it",
+            "scenarios", "common",
+        )  # fmt: skip
     if horizon.lengths[0] != 1:
         raise HorizonError(
             f"hours: {horizon.hours[0]:g}: the first stage of a closed loop must be one step of "

@@ -1,0 +1,169 @@
+"""Uncertain futures: cases, drawn paths and their reduction, in plans and closed loops."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import two_bus
+from hypothesis import given
+from hypothesis import strategies as st
+
+import opfmodel as om
+from opfmodel.check import check
+from opfmodel.errors import HorizonError, ProfileError, ScenarioError
+from opfmodel.forecasts import Noisy, Perfect
+from opfmodel.forecasts.reduction import fast_forward_selection
+from opfmodel.forecasts.scenarios import Draw, Futures
+from opfmodel.profiles.scale import Scale
+
+ACTUAL = om.Profiles.of({"town.p": 90.0 + np.arange(12.0), "town.q": np.full(12, 30.0)})
+CASES = {"low": om.Case(0.5, [Scale(0.9)]), "high": om.Case(0.5, [Scale(1.1)])}
+NOISY = Noisy(deviation=0.05, correlation=0.8, seed=3, common_share=0.5)
+
+
+def futures(
+    scenarios: om.Scenarios,
+    hours: tuple[int, ...] = (1, 1, 2),
+    forecast: om.Forecast | None = None,
+    actual: om.Profiles = ACTUAL,
+) -> Futures:
+    """The futures at step 2 of a forecast that is perfect."""
+    horizon = scenarios.horizon(hours)
+    issued = om.Profiles({key: ACTUAL[key][2 : 2 + horizon.steps] for key in ACTUAL})
+    return scenarios.futures(
+        issued, 2, horizon, actual=actual, forecast=forecast or Perfect(), network=two_bus()
+    )
+
+
+@pytest.mark.parametrize("common", [0, 1, 2])
+@pytest.mark.parametrize("cases", [CASES, {"high": om.Case(1.0, [Scale(1.1)])}])
+def test_rules_act_after_the_common_stages_also_on_a_single_case(common: int, cases: dict) -> None:
+    made = futures(om.Scenarios(common, cases))
+    high = made.series[-1]["town.p"] / ACTUAL["town.p"][2:6]
+    assert high.tolist() == pytest.approx([1.0] * common + [1.1] * (4 - common))
+    assert made.probability.sum() == pytest.approx(1.0)
+
+
+def test_a_single_case_may_be_common_to_its_end() -> None:
+    made = futures(om.Scenarios(3, {"high": om.Case(1.0, [Scale(1.1)])}))
+    assert made.series[0]["town.p"].tolist() == ACTUAL["town.p"][2:6].tolist()
+
+
+@pytest.mark.parametrize("keep", [1, 4])
+def test_drawn_paths_leave_the_common_stages_and_never_see_what_happens(keep: int) -> None:
+    scenarios = om.Scenarios(common=2, draw=Draw(number=40, keep=keep, seed=7))
+    made = futures(scenarios, forecast=NOISY)
+    assert len(made.series) == keep
+    assert sum(made.stands_for) == 40
+    assert made.probability.tolist() == pytest.approx([many / 40 for many in made.stands_for])
+    for series in made.series:
+        assert series["town.p"][:2].tolist() == ACTUAL["town.p"][2:4].tolist()
+        assert (series["town.p"][2:] != ACTUAL["town.p"][4:6]).all()
+        assert series["town.p"] / series["town.q"] == pytest.approx(ACTUAL["town.p"][2:6] / 30.0)
+    other = om.Profiles({key: 0.5 * values for key, values in ACTUAL.items()})
+    again = futures(scenarios, forecast=NOISY, actual=other)
+    assert all((a["town.p"] == b["town.p"]).all() for a, b in zip(made.series, again.series, strict=True))
+    differs = futures(om.Scenarios(common=2, draw=Draw(40, keep, seed=8)), forecast=NOISY)
+    assert differs.series[0]["town.p"].tolist() != made.series[0]["town.p"].tolist()
+
+
+@given(
+    st.lists(st.integers(0, 50), min_size=3, max_size=9, unique=True),
+    st.integers(1, 3),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_selection_is_greedy_and_close_to_the_best(points: list[int], keep: int, seed: int) -> None:
+    paths = np.array(points, dtype=float)[:, None]
+    probability = np.random.default_rng(seed).dirichlet(np.ones(len(paths)))
+    made = fast_forward_selection(paths, probability, keep)
+
+    def distance(kept: tuple[int, ...]) -> float:
+        return float(probability @ np.abs(paths - paths[list(kept), 0]).min(axis=1))
+
+    assert made.probability.sum() == pytest.approx(1.0)
+    own = distance(tuple(made.kept))
+    best = min(map(distance, combinations(range(len(paths)), keep)))
+    assert best - 1e-9 <= own
+    for count in range(1, keep + 1):  # every step adds the path that lowers the distance most
+        before = tuple(made.kept[: count - 1])
+        left = set(range(len(paths))) - set(before)
+        least = min(distance((*before, path)) for path in left)
+        assert distance(tuple(made.kept[:count])) == pytest.approx(least, abs=1e-9)
+    if keep == 1:
+        assert own == pytest.approx(best, abs=1e-9)
+
+
+def test_a_forecast_without_an_error_model_draws_no_paths() -> None:
+    with pytest.raises(ProfileError, match="Perfect: cannot draw paths"):
+        futures(om.Scenarios(draw=Draw(10, 2)))
+
+
+def problem(scenarios: om.Scenarios, **options: object) -> om.MultiStage:
+    return om.MultiStage(two_bus(), scenarios.horizon([1, 1, 2]), profiles=ACTUAL, **options)
+
+
+@pytest.mark.parametrize("scenarios", [om.Scenarios(cases=CASES), om.Scenarios(draw=Draw(30, 3, seed=1))])
+def test_a_closed_loop_plans_for_all_futures_and_meets_the_actual_one(scenarios: om.Scenarios) -> None:
+    made = problem(scenarios, risk=om.Risk(0.5, 0.3))
+    run = om.simulate(om.Controller(made, NOISY, scenarios=scenarios), om.Redispatch(), steps=4)
+    assert run.status == "done"
+    report = check(two_bus(), run.data, {key: ACTUAL[key][:4] for key in ACTUAL})
+    assert report.max_violation < 1e-6
+    for plan in run.plans:
+        assert len(plan["scenarios"]) == len(made.horizon.leaves)
+        assert sum(found["probability"] for found in plan["scenarios"].values()) == pytest.approx(1.0)
+    starts = [[attempt["start"] for attempt in plan["attempts"]] for plan in run.plans]
+    assert starts == [["cold"], ["warm"], ["warm"], ["warm"]]
+
+
+def test_a_closed_loop_needs_a_common_first_stage() -> None:
+    scenarios = om.Scenarios(common=0, cases=CASES)
+    controller = om.Controller(problem(scenarios), scenarios=scenarios)
+    assert controller.plan(0, None).optimal  # a single plan does not
+    with pytest.raises(HorizonError, match="common = 0: must be at least 1 in a closed loop"):
+        om.simulate(controller, steps=2)
+
+
+FILE = """
+network: {{file: n.m}}
+time: {{step: 1, steps: 4}}
+controller:
+  horizon: 4
+  scenarios: {0}
+"""
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        (
+            "{common: 0, cases: {a: {probability: 0.5}, b: {probability: 0.5}}}",
+            r"s.yaml:6:\d+: controller.scenarios.common: .*common = 0: must be at least 1",
+        ),
+        (
+            "{cases: {a: {probability: 0.5}, b: {probability: 0.4}}}",
+            r"s.yaml:6:\d+: controller.scenarios.cases: .*sum to 0.9; must sum to 1",
+        ),
+        (
+            "{common: 4, cases: {a: {probability: 0.5}, b: {probability: 0.5}}}",
+            r"s.yaml:6:\d+: controller.scenarios.common: .*below the number of stages, 4",
+        ),
+        (
+            "{draw: {number: 3, keep: 5}}",
+            r"s.yaml:6:\d+: controller.scenarios.draw.keep: .*at most number = 3",
+        ),
+        ("{common: 1}", r"s.yaml:6:\d+: controller.scenarios: .*give either cases or a draw"),
+    ],
+)
+def test_scenarios_that_do_not_fit_are_refused_with_their_key(
+    tmp_path: Path, section: str, message: str
+) -> None:
+    case = Path(__file__).parent / "data" / "matpower" / "case5.m"
+    (tmp_path / "n.m").write_bytes(case.read_bytes())
+    path = tmp_path / "s.yaml"
+    path.write_text(FILE.format(section), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=message):
+        om.load_scenario(path).simulate()
