@@ -37,6 +37,7 @@ _LINKS = {
     "controller.formulation": "[backends.md](backends.md)",
     "controller.generator_delay": "[model.md](model.md)",
     "controller.on_infeasible": "[plants.md](plants.md#elastic-problems)",
+    "controller.limits": "[plants.md](plants.md#elastic-problems)",
     "controller.solver": "[backends.md](backends.md)",
     "forecast": "[Forecasts](#forecasts)",
     "plant": "[Plants](#plants)",

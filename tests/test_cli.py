@@ -550,6 +550,29 @@ def test_run_continues_with_elastic_plans(call: Call, tmp_path: Path) -> None:
     assert (code, "--on-infeasible pray: must be stop or elastic" in err) == (2, True)
 
 
+def test_soft_limits_are_a_key_of_a_scenario(call: Call, tmp_path: Path) -> None:
+    soft = (
+        *HEAVY,
+        "--set",
+        "time.steps=2",
+        "--set",
+        "controller.horizon=2",
+        "--set",
+        "controller.limits=soft",
+    )
+    code, out, _ = call("solve", CASE5, *soft, "--json")
+    plan = json.loads(out)
+    assert (code, plan["status"]) == (0, "locally_optimal")
+    assert plan["objective"] > 1.1 * plan["expected_cost"]
+    assert "branch 4-5 exceeds its rating" in plan["diagnosis"]["0"][0]
+    assert "diagnosis: branch 4-5 exceeds" in call("solve", CASE5, *soft)[1]
+    code, out, _ = call("run", CASE5, *soft, "--out", tmp_path, "--json", "--no-figures")
+    summary = json.loads(out)
+    assert (code, summary["elastic_steps"], summary["retries"]) == (0, 2, {})
+    code, _, err = call("solve", CASE5, "--set", "controller.limits=none")
+    assert (code, "'hard'" in err) == (2, True)
+
+
 def test_penalty_prices_are_keys_of_a_scenario(call: Call, tmp_path: Path) -> None:
     weak = tmp_path / "weak.yaml"
     weak.write_text(

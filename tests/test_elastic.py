@@ -260,6 +260,36 @@ def test_the_effort_of_all_phases_counts() -> None:
     assert outbid.solution.iterations > plain.solution.iterations
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("price", "served"), [(20.0, [30, 40]), (12_000.0, [0, 0])])
+def test_a_shortage_that_is_traded_saves_cost_above_its_price(
+    formulation: str, price: float, served: list[float]
+) -> None:
+    grid = one_bus(40)
+    grid.update("unit", cost=om.Polynomial(0, price, 0))
+    traded = om.Elastic(traded=True)
+    problem = om.MultiStage(grid, 2, formulation=formulation, profiles={"town.p": [30, 60]}, elastic=traded)
+    plan = problem.solve()
+    assert plan.data["pg"].values[:, 0] == pytest.approx(served, abs=1e-2)
+    shed = 90 - sum(served)
+    assert plan.expected_cost == pytest.approx(price * sum(served), rel=1e-4, abs=0.1 * price)
+    assert plan.penalty == pytest.approx(traded.shedding * shed, rel=1e-4)
+    assert plan.objective == pytest.approx(plan.expected_cost + plan.penalty)
+
+
+def test_traded_shortages_of_scenarios_count_with_their_probabilities() -> None:
+    cases = {"calm": 0.9, "peak": 0.1}
+    demand = np.array([[30.0, 40.0, 60.0]])
+    horizon = om.Horizon.tree([1, 1], cases, common=1)
+    problem = om.MultiStage(
+        one_bus(40), horizon, profiles={"town.p": [30, 40]}, formulation="dc", elastic=om.Elastic(traded=True)
+    )
+    plan = problem.solve(expected={("load", "p"): demand / problem.arrays.base_mva})
+    assert plan.expected_cost == pytest.approx(20 * (30 + 0.9 * 40 + 0.1 * 40), rel=1e-6)
+    assert plan.penalty == pytest.approx(10_000 * 0.1 * 20, rel=1e-6)
+    assert plan.objective == pytest.approx(plan.expected_cost + plan.penalty)
+
+
 # Shortfalls and their causes -------------------------------------------------------------------
 
 

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 import opfmodel as om
 from opfmodel import plugins
 from opfmodel.check import check
+from opfmodel.data.calendar import Calendar
+from opfmodel.data.series import SeriesKey
 from opfmodel.errors import ModelError, ProfileError, ScenarioError
 from opfmodel.forecasts import File, Forecast, Noisy, Perfect, Persistence
 from opfmodel.plugins import registry
@@ -116,6 +118,44 @@ def test_the_latest_issue_of_a_file_applies(tmp_path: Path) -> None:
     assert forecast.expected(ACTUAL, 3, 2).series[TOWN].tolist() == [40, 50]
 
 
+ENSEMBLE = "issued,member,town.p\n0,1,1\n0,1,2\n0,2,5\n0,2,8\n1,2,9\n1,1,3\n1,2,7\n1,1,5\n1,7,3\n1,7,0\n"
+
+
+def test_an_ensemble_is_its_mean_and_its_members_are_the_paths(tmp_path: Path) -> None:
+    forecast = File(write(tmp_path, ENSEMBLE))
+    assert forecast.expected(ACTUAL, 0, 2).series[TOWN].tolist() == [3, 5]
+    issued = forecast.expected(ACTUAL, 1, 2)
+    assert issued.series[TOWN].tolist() == [5, 4]
+    assert issued.series["town", "q"].tolist() == ACTUAL.series["town", "q"][1:3].tolist()
+    members = [[3, 5], [9, 7], [3, 0]]
+    assert forecast.paths(issued, 1, 3, seed=0)[TOWN].tolist() == members
+    pairs = {tuple(map(tuple, forecast.paths(issued, 1, 2, seed)[TOWN])) for seed in range(30)}
+    assert pairs == {tuple(map(tuple, np.delete(members, left, 0))) for left in range(3)}
+
+
+def test_members_at_local_times(tmp_path: Path) -> None:
+    calendar = Calendar(np.datetime64("2024-04-30T22:00"), 1.0, "Europe/Berlin")
+    known = om.Profiles({"town.p": np.arange(6.0)}, calendar)
+    rows = [f"2024-05-01T0{hour}:00,{member},{10 * member + hour}" for member in (1, 2) for hour in range(6)]
+    forecast = File(write(tmp_path, "\n".join(["time,member,town.p", *rows])))
+    assert forecast.expected(known, 2, 3).series[TOWN].tolist() == [17, 18, 19]
+    paths = forecast.paths(forecast.expected(known, 2, 3), 2, 2, 0, calendar)
+    assert paths[TOWN].tolist() == [[12, 13, 14], [22, 23, 24]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("town.p\n1\n2\n", "has no members .* column 'member'"),
+        (ENSEMBLE, "issued at step 1 has 3 members, fewer than the 4 paths to draw"),
+    ],
+)
+def test_an_ensemble_has_no_more_paths_than_members(tmp_path: Path, text: str, message: str) -> None:
+    forecast = File(write(tmp_path, text))
+    with pytest.raises(ProfileError, match=message):
+        forecast.paths(forecast.expected(ACTUAL, 1, 1), 1, 4, seed=0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -128,6 +168,8 @@ def test_the_latest_issue_of_a_file_applies(tmp_path: Path) -> None:
         ("town.p\n1\ninf\n", "line 3, column 'town.p': 'inf' is not a finite number"),
         (f"town.p\n{200_000 * '1'}\n", "line 2: not CSV: field larger than"),
         ("issued,town.p\n0,1\n0.5,2\n", "line 3, column 'issued': 0.5 is not a step"),
+        ("member,town.p\n0,1\n0.5,2\n", "line 3, column 'member': 0.5 is not a member"),
+        ("member,town.p\n0,1\n0,2\n1,2\n", "line 4, column 'member': the members .* the same steps"),
         ("issued,town.p\n3,1\n", "issued by step 1; .* 3$"),
         ("hour,town.p\n0,1\n1,2\n", "the forecast issued at step 0 has 2 rows; steps 1 to 3 need 4"),
         (
@@ -326,6 +368,22 @@ def greedy(self, actual, time, stages):
 def test_a_forecast_that_breaks_a_rule_is_caught(expected: object, message: str) -> None:
     with pytest.raises(ContractError, match=message):
         check_forecast(planted(expected))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "message"),
+    [
+        (lambda _self, issued, *_: {key: np.ones((2, 2)) for key in issued}, "one value per path and step"),
+        (lambda *_: {SeriesKey("moon", "p"): np.ones((2, 3))}, "paths of forecast series alone"),
+        (lambda _self, issued, *_: {key: np.full((2, 3), np.inf) for key in issued}, "draws finite values"),
+        (lambda _self, issued, *_: {k: np.random.rand(2, 3) for k in issued}, "same paths when called again"),
+    ],
+)
+def test_paths_that_break_a_rule_are_caught(drawn: object, message: str) -> None:
+    forecast = planted(Perfect.expected)
+    type(forecast).paths = drawn
+    with pytest.raises(ContractError, match=message):
+        check_forecast(forecast)
 
 
 def test_an_inherited_constructor_has_the_types_of_its_options(

@@ -60,10 +60,10 @@ def solve(
         problem.verbose = verbose
         asked = controller.request(0)
         plan = problem.solve(initial=initial, **asked)
-        diagnosis = []
+        diagnosed = plan
         if not plan.optimal and elastic:
-            twin = problem.elastic_twin(controller.elastic)
-            diagnosis = [str(s) for s in twin.solve(initial=initial, **asked).shortages]
+            diagnosed = problem.elastic_twin(controller.elastic).solve(initial=initial, **asked)
+        diagnosis = [str(shortage) for shortage in diagnosed.shortages]
     report = _verified(controller, plan) if plan.optimal else None
     if json_:
         print_json(

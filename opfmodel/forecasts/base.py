@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel import plugins
+from opfmodel.data.calendar import Calendar
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import PluginError, ProfileError, nearest, shown
 from opfmodel.network.components import BUILT_IN
@@ -47,7 +48,14 @@ class Forecast:
         """
         raise NotImplementedError
 
-    def paths(self, issued: Profiles, time: int, number: int, seed: int) -> list[Profiles]:  # noqa: ARG002
+    def paths(
+        self,
+        issued: Profiles,  # noqa: ARG002
+        time: int,  # noqa: ARG002
+        number: int,  # noqa: ARG002
+        seed: int,  # noqa: ARG002
+        calendar: Calendar | None = None,  # noqa: ARG002
+    ) -> Mapping[SeriesKey, Array]:
         """Draw paths of the actual series around a forecast, for a forecast with an error model.
 
         A path depends on what was issued and on its arguments, never on what really happens.
@@ -60,13 +68,22 @@ class Forecast:
             Number of paths.
         seed
             Seed of the random numbers.
+        calendar
+            Time stamps of the steps, from step 0.
+
+        Returns
+        -------
+        Mapping
+            Paths ``(number, steps)`` of the uncertain series; those that are known are left out.
 
         Raises
         ------
         ProfileError
             The forecast has no error model.
         """
-        raise ProfileError(f"{type(self).__name__}: cannot draw paths; noisy can, and file if it has members")
+        raise ProfileError(
+            f"{type(self).__name__}: cannot draw paths; noisy can, and file if it has a column 'member'"
+        )
 
 
 def forecast_fields(forecast: str, fields: Sequence[str]) -> tuple[str, ...]:

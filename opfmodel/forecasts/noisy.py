@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Mapping
 
 import numpy as np
+from scipy.signal import lfilter
 
-from opfmodel.data.series import Profiles
+from opfmodel.data.calendar import Calendar
+from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import FORECAST_FIELDS, Array, Forecast, forecast_fields, part
 from opfmodel.network.bounds import integer, number_within
 
 __all__ = ["Noisy"]
+
+_PATHS = 1  # paths have other random numbers than the forecast that is issued, if the seeds are equal
 
 
 class Noisy(Forecast):
@@ -64,34 +69,37 @@ class Noisy(Forecast):
 
     def expected(self, actual: Profiles, time: int, stages: int) -> Profiles:
         """Return the actual series with errors."""
-        return self._with_errors(Profiles(part(actual, time, stages)), stages, [self.seed, time])
+        known = part(actual, time, stages)
+        drawn = self._with_errors(known, [self.seed, time], 1)
+        return Profiles({**known, **{key: values[0] for key, values in drawn.items()}})
 
-    def paths(self, issued: Profiles, time: int, number: int, seed: int) -> list[Profiles]:
+    def paths(
+        self,
+        issued: Profiles,
+        time: int,
+        number: int,
+        seed: int,
+        calendar: Calendar | None = None,  # noqa: ARG002
+    ) -> dict[SeriesKey, Array]:
         """Return the issued series with errors, one draw for each path."""
-        stages = max(map(len, issued.values()), default=0)
-        return [self._with_errors(issued, stages, [seed, time, path]) for path in range(number)]
+        return self._with_errors(issued, [seed, time, _PATHS], number)
 
-    def _with_errors(self, series: Profiles, stages: int, entropy: list[int]) -> Profiles:
-        """Multiply series by one plus the errors drawn for their components."""
-        drawn: dict[str, Array] = {}
-        common = self._error(entropy, stages, self.common_share)
-        made = dict(series)
-        for key, values in series.items():
-            if key.field in self.fields:
-                name = key.component
-                if name not in drawn:
-                    own = self._error([*entropy, zlib.crc32(name.encode())], stages, 1.0 - self.common_share)
-                    drawn[name] = np.maximum(0.0, 1.0 + own + common)
-                made[key] = values * drawn[name][: values.size]
-        return Profiles(made)
+    def _with_errors(
+        self, series: Mapping[SeriesKey, Array], entropy: list[int], number: int
+    ) -> dict[SeriesKey, Array]:
+        """Multiply the uncertain series by one plus a number of errors drawn for their components."""
+        uncertain = {key: values for key, values in series.items() if key.field in self.fields}
+        shape = (number, max(map(len, uncertain.values()), default=0))
+        common = self._error(entropy, shape, self.common_share)
+        factors = {}
+        for name in dict.fromkeys(key.component for key in uncertain):
+            own = self._error([*entropy, zlib.crc32(name.encode())], shape, 1.0 - self.common_share)
+            factors[name] = np.maximum(0.0, 1.0 + own + common)
+        return {key: values * factors[key.component][:, : values.size] for key, values in uncertain.items()}
 
-    def _error(self, entropy: list[int], stages: int, share: float) -> Array:
-        """Return relative errors with a share of the variance."""
+    def _error(self, entropy: list[int], shape: tuple[int, int], share: float) -> Array:
+        """Return relative errors with a share of the variance, over the second axis."""
         if not share:
-            return np.zeros(stages)
-        deviation = math.sqrt(share) * self.deviation
-        error, errors = 0.0, np.empty(stages)
-        for ahead, shock in enumerate(np.random.default_rng(entropy).standard_normal(stages)):
-            error = self.correlation * error + deviation * shock
-            errors[ahead] = error
-        return errors
+            return np.zeros(shape)
+        shocks = math.sqrt(share) * self.deviation * np.random.default_rng(entropy).standard_normal(shape)
+        return np.asarray(lfilter([1.0], [1.0, -self.correlation], shocks))

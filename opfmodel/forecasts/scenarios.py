@@ -160,7 +160,8 @@ class Scenarios:
         begins = [*horizon.step[horizon.paths[0]].tolist(), horizon.steps]
         common = begins[min(self.common, len(begins) - 1)]
         if self.draw is not None:
-            return _drawn(self.draw, forecast, issued, time, common)
+            paths = forecast.paths(issued, time, self.draw.number, self.draw.seed, actual.calendar)
+            return _reduced(self.draw, issued, paths, common)
         times = actual.calendar
         grid = Grid(time + horizon.steps, horizon.base)
         if times is not None:
@@ -177,20 +178,20 @@ class Scenarios:
         return Futures(series, shares, [1] * len(series))
 
 
-def _drawn(draw: Draw, forecast: Forecast, issued: Profiles, time: int, common: int) -> Futures:
-    """Draw and reduce paths, ordered by their total, so that successive plans resemble each other."""
-    paths = [_after(common, issued, path) for path in forecast.paths(issued, time, draw.number, draw.seed)]
-    points = np.array([np.concatenate([path[key] for key in issued] or [np.zeros(1)]) for path in paths])
-    reduced = fast_forward_selection(points, np.full(len(paths), 1.0 / len(paths)), draw.keep)
+def _reduced(draw: Draw, issued: Profiles, paths: Mapping[SeriesKey, Array], common: int) -> Futures:
+    """Reduce paths, ordered by their total, so that successive plans resemble each other."""
+    points = np.hstack([np.zeros((draw.number, 1)), *(values[:, common:] for values in paths.values())])
+    reduced = fast_forward_selection(points, np.full(draw.number, 1.0 / draw.number), draw.keep)
     order = np.argsort(points[reduced.kept].sum(axis=1), kind="stable")
     many = np.bincount(reduced.stands_for, minlength=draw.keep)[order]
-    series = [paths[position] for position in reduced.kept[order]]
+    series = [
+        _after(common, issued, {key: values[path] for key, values in paths.items()})
+        for path in reduced.kept[order]
+    ]
     return Futures(series, reduced.probability[order], many.tolist())
 
 
-def _after(common: int, issued: Profiles, changed: Profiles) -> Profiles:
-    """Return the issued series in the common part, and the changed ones after it."""
-    made: dict[SeriesKey, Array] = {
-        key: np.concatenate([values[:common], changed[key][common:]]) for key, values in issued.items()
-    }
-    return Profiles(made)
+def _after(common: int, issued: Profiles, changed: Mapping[SeriesKey, Array]) -> Profiles:
+    """Return the issued series, with what is changed after the common part."""
+    made = {key: np.concatenate([issued[key][:common], values[common:]]) for key, values in changed.items()}
+    return Profiles({**issued, **made})

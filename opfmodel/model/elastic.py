@@ -30,8 +30,8 @@ _TOTALS = {"MW": "MWh", "MVAr": "MVArh"}
 class Elastic:
     """Penalty prices of soft limits, with which a problem always has a solution.
 
-    The prices weigh shortfalls against each other, never against cost: the plan is the cheapest of those
-    with the minimum penalty.
+    By default the prices weigh shortfalls against each other, never against cost: the plan is the cheapest
+    of those with the minimum penalty. If shortfalls are traded, they count like any other cost.
 
     One hour of 1 p.u. of anything (power, voltage, angle in radians, energy) is penalised at the price
     times the power base of the system, :attr:`Network.scale_mva`. On a base of 100 MVA, 0.01 p.u. of
@@ -46,11 +46,15 @@ class Elastic:
     balance
         Price of unserved balance (slack injection), active or reactive, and of stored energy outside its
         limits, $/MWh. The highest price, since it has no physical counterpart.
+    traded
+        Whether shortfalls are traded against cost: the plan minimises the sum of cost and expected penalty,
+        in one solve.
     """
 
     limit: float = 5_000.0
     shedding: float = 10_000.0
     balance: float = 20_000.0
+    traded: bool = False
 
     def __post_init__(self) -> None:
         for name in ("limit", "shedding", "balance"):

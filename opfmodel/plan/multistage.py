@@ -620,12 +620,13 @@ class MultiStage:
         -------
         Plan
             Also if the solver fails; see :attr:`Plan.status`. For an elastic problem, the cheapest of the
-            plans with the minimum penalty.
+            plans with the minimum penalty, or that with the minimum sum of cost and penalty if the prices
+            are :attr:`Elastic.traded`.
         """
         nodes = self.horizon if horizon is None else horizon
         request = Request(time, initial, self.end if end is None else end, expected, nodes)
         plan = self.solve_once(request, previous, multipliers)
-        certain = self.elastic is None or (plan.optimal and not plan.short)
+        certain = self.elastic is None or self.elastic.traded or (plan.optimal and not plan.short)
         return plan if certain else without_outbidding(self, plan)
 
     def solve_once(

@@ -99,13 +99,14 @@ class Plan:
     def objective(self) -> float:
         """What is minimised, in $ over the horizon, without regularisation; NaN unless optimal.
 
-        Includes risk aversion; :attr:`expected_cost` does not.
+        Includes risk aversion and penalties that are traded against cost; :attr:`expected_cost` does not.
         """
-        risk = self.problem.risk
+        risk, elastic = self.problem.risk, self.problem.elastic
+        traded = self.penalty if self.optimal and elastic is not None and elastic.traded else 0.0
         if risk is None:
-            return self.expected_cost
+            return self.expected_cost + traded
         last = self.horizon.probability[self.horizon.leaves]
-        return risk.measure(np.array(list(self.scenario_costs.values())), last)
+        return risk.measure(np.array(list(self.scenario_costs.values())), last) + traded
 
     @property
     def expected_cost(self) -> float:

@@ -16,6 +16,7 @@ from opfmodel.data.source import Source
 from opfmodel.data.yaml import MOST_LEVELS, Place
 from opfmodel.errors import ScenarioError, nearest, shown
 from opfmodel.horizon import Horizon
+from opfmodel.model import Elastic
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
 from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
@@ -212,6 +213,9 @@ class _Reader:
                     if settings.time.at_end == "shrink"
                     else "error",  # what repeats is complete
                     regularisation=controller.regularisation,
+                    elastic=Elastic(**controller.elastic.model_dump(), traded=True)
+                    if controller.limits == "soft"
+                    else None,
                     risk=averse,
                     solver=solver.name,
                     options=solver.options,

@@ -244,6 +244,10 @@ class ControllerSection(Section):
     on_infeasible: OnInfeasible = Field(
         "stop", description="what follows an infeasible problem; `elastic`: continue with an elastic plan"
     )
+    limits: Literal["hard", "soft"] = Field(
+        "hard",
+        description="`soft`: every plan is elastic, and penalties are traded against cost in one solve",
+    )
     elastic: ElasticSection = Field(
         default_factory=ElasticSection, description="penalty prices of elastic plans"
     )

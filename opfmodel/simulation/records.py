@@ -94,9 +94,11 @@ def changes(
 
 
 def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
-    """Return the key figures of the measured quantities of a run; empty if nothing was measured."""
+    """Return the key figures of a run: stored energy at its end, and what was measured."""
     base, hours = problem.arrays.base_mva, problem.step
     made: dict[str, Any] = {}
+    if steps and (stored := steps[-1].values.get(("storage", "e_next"))) is not None:
+        made["stored_mwh"] = float(stored.sum()) * base
     named = {name: (kind, name) for step in steps for kind, name in step.values if name in DESCRIBED}
     for key, names in (
         ("redispatched_mwh", ("pg_redispatch", "ps_redispatch")),

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
+from opfmodel.errors import ProfileError
 from opfmodel.forecasts.base import Forecast
 from opfmodel.testing.grids import demand
 from opfmodel.testing.options import check_options
@@ -24,6 +25,8 @@ def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
     - Its options are documented plain data.
     - It covers every actual series and no other, with one finite value per stage.
     - Its values depend neither on the order of calls nor on the number of stages.
+    - Paths, if it can draw them, are those of forecast series, ``(number, steps)``, and depend on what was
+      issued and on the seed alone.
 
     Parameters
     ----------
@@ -44,6 +47,21 @@ def check_forecast(forecast: Forecast, actual: Profiles | None = None) -> None:
     for time, stages in asked:
         longer = {key: values[:stages] for key, values in first[time, 3].items()}
         rules.require(_equal(first[time, stages], longer), "returns the same values for any number of stages")
+    _check_paths(rules, forecast, actual)
+
+
+def _check_paths(rules: Contract, forecast: Forecast, actual: Profiles) -> None:
+    issued = Profiles(_expected(rules, forecast, actual, 1, 3))
+    try:
+        first, again = (forecast.paths(issued, 1, 2, 0, actual.calendar) for _ in range(2))
+    except ProfileError:
+        return  # it has no error model
+    rules.require(first.keys() <= issued.keys(), "draws paths of forecast series alone")
+    rules.require(_equal(first, again), "draws the same paths when called again")
+    for key, values in first.items():
+        where = f"{key} has shape {np.shape(values)} for 2 paths of 3 steps"
+        rules.require(np.shape(values) == (2, 3), "draws one value per path and step", where)
+        rules.require(np.isfinite(values).all(), "draws finite values", str(key))
 
 
 def _expected(rules: Contract, forecast: Forecast, actual: Profiles, time: int, stages: int) -> Series:
