@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import platform
+import re
 import resource
 import statistics
 import sys
@@ -17,7 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["RESULTS", "arguments", "format_cell", "machine", "measure", "median", "report", "timed"]
+__all__ = ["RESULTS", "arguments", "format_cell", "machine", "measure", "median", "report", "splice", "timed"]
 
 RESULTS = Path(__file__).parent / "results"
 PACKAGES = (
@@ -155,3 +156,12 @@ def format_cell(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1e5 else f"{value:,.2f}"
     return str(value)
+
+
+def splice(page: Path, heading: str, text: str) -> None:
+    """Replace the text between the comments ``heading`` and ``end`` of a page."""
+    before = page.read_text(encoding="utf-8")
+    pattern = re.compile(rf"(<!-- {re.escape(heading)} -->\n).*?(<!-- end -->\n)", re.DOTALL)
+    assert pattern.search(before), f"{page}: no place for {heading!r}"
+    after = pattern.sub(lambda found: f"{found[1]}{text.rstrip()}\n{found[2]}", before)
+    page.write_text(after, encoding="utf-8")

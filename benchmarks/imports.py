@@ -6,7 +6,6 @@ python -m benchmarks.imports writes the tables of docs/inputs.md.
 from __future__ import annotations
 
 import logging
-import re
 import warnings
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import opfmodel as om
+from benchmarks.harness import splice
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "inputs.md"
@@ -61,14 +61,6 @@ def differences() -> Iterator[tuple[str, int, float, float]]:
         yield name, len(net.bus), vm, va
 
 
-def write(heading: str, text: str) -> None:
-    """Replace the text between the comments ``heading`` and ``end`` of the page."""
-    page = PAGE.read_text()
-    pattern = re.compile(rf"(<!-- {heading} -->\n).*?(<!-- end -->\n)", re.DOTALL)
-    assert pattern.search(page), f"{PAGE}: no place for {heading!r}"
-    PAGE.write_text(pattern.sub(lambda found: found[1] + text + found[2], page))
-
-
 def main() -> None:
     """Write the tables."""
     logging.disable(logging.CRITICAL)
@@ -76,7 +68,7 @@ def main() -> None:
     rows = [f"| {name} | {buses:,} | {vm:.1e} | {va:.1e} |" for name, buses, vm, va in differences()]
     head = f"pandapower {version('pandapower')}; maximum over all buses.\n\n"
     columns = "| network | buses | magnitude, p.u. | angle, degrees |\n| --- | ---: | ---: | ---: |\n"
-    write("pandapower voltages", head + columns + "\n".join(rows) + "\n")
+    splice(PAGE, "pandapower voltages", head + columns + "\n".join(rows))
 
 
 if __name__ == "__main__":

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import importlib
 import logging
-import re
 import sys
 import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from benchmarks.harness import splice
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "inputs.md"
@@ -53,38 +54,26 @@ def voltages() -> Iterator[tuple[str, int, float]]:
         yield name, len(n.buses), difference(n)
 
 
-def write(heading: str, lines: list[str]) -> None:
-    """Replace the text between the comments ``heading`` and ``end`` of the page."""
-    page = PAGE.read_text()
-    pattern = re.compile(rf"(<!-- {heading} -->\n).*?(<!-- end -->\n)", re.DOTALL)
-    assert pattern.search(page), f"{PAGE}: no place for {heading!r}"
-    PAGE.write_text(pattern.sub(lambda found: found[1] + "\n".join(lines) + "\n" + found[2], page))
-
-
 def main() -> None:
     """Write the tables."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     tools = f"PyPSA {version('pypsa')} with HiGHS {version('highspy')}"
-    write(
-        "PyPSA optima",
-        [
-            f"| network | snapshots | step, h | end | {tools}, $ | relative difference |",
-            "| --- | ---: | ---: | --- | ---: | ---: |",
-            *(
-                f"| {name} | {steps} | {hours:g} | {end} | {expected:,.2f} | {relative:.1e} |"
-                for name, steps, hours, end, expected, relative in optima()
-            ),
-        ],
-    )
-    write(
-        "PyPSA voltages",
-        [
-            "| network | buses | largest difference of a voltage, p.u. |",
-            "| --- | ---: | ---: |",
-            *(f"| {name} | {buses} | {most:.1e} |" for name, buses, most in voltages()),
-        ],
-    )
+    optimal = [
+        f"| network | snapshots | step, h | end | {tools}, $ | relative difference |",
+        "| --- | ---: | ---: | --- | ---: | ---: |",
+        *(
+            f"| {name} | {steps} | {hours:g} | {end} | {expected:,.2f} | {relative:.1e} |"
+            for name, steps, hours, end, expected, relative in optima()
+        ),
+    ]
+    splice(PAGE, "PyPSA optima", "\n".join(optimal))
+    flows = [
+        "| network | buses | largest difference of a voltage, p.u. |",
+        "| --- | ---: | ---: |",
+        *(f"| {name} | {buses} | {most:.1e} |" for name, buses, most in voltages()),
+    ]
+    splice(PAGE, "PyPSA voltages", "\n".join(flows))
 
 
 if __name__ == "__main__":

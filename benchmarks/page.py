@@ -49,6 +49,12 @@ instance data and reading results.""",
 and with the size of the network (single stages of PGLib cases; 1,354 buses over a day with 20
 storage units).""",
     ),
+    "tree": (
+        "Trees of scenarios",
+        """IEEE 118 with storage at every bus, 1, 3, 5 and 9 scenarios of 24 stages that share two: cold from the plan
+for the expected future (the default) and from the midpoint of the bounds, and warm steps of a closed loop.
+[uncertainty.md](uncertainty.md) has results.""",
+    ),
     "peers": (
         "Single-stage AC-OPF compared with pandapower and PYPOWER",
         """The same PGLib data, passed as MATPOWER arrays. Times run from data in memory to the optimum and

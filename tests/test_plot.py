@@ -69,6 +69,30 @@ def test_line_styles_of_active_and_reactive_power_have_a_key(plan: om.Plan) -> N
     assert "reactive" not in labels(figures.buses(without))
 
 
+@pytest.mark.parametrize("hours", [[1, 1, 1], [1, 2, 3]])
+def test_scenarios_are_a_fan_with_one_label(hours: list[int]) -> None:
+    horizon = om.Horizon.tree(hours, {"low": 0.2, "mid": 0.5, "high": 0.3}, common=1)
+    problem = om.MultiStage(everything(), horizon, profiles=demand(6), formulation="dc")
+    low, mid = (np.full(sum(hours), demand(6)["town.p"][0] * factor) for factor in (0.8, 0.9))
+    known = om.Profiles.of({key: values[: sum(hours)] for key, values in demand(6).items()})
+    futures = [om.Profiles({**known, "town.p": values}) for values in (low, mid, known["town.p"])]
+    plan = problem.solve(expected=problem.expected(futures))
+    for figure in (system(plan.data), figures.buses(plan.data), figures.demand(plan.data)):
+        assert len(set(labels(figure))) == len(labels(figure))
+        for axis in figure.axes:
+            lines = [line for line in axis.get_lines() if len(line.get_xdata())]
+            assert len(lines) % 3 == 0
+            assert all(line.get_xdata().tolist() == [0, *np.cumsum(hours)] for line in lines)
+            assert all(
+                (a.get_alpha(), b.get_alpha()) == (0.58, 1.0)
+                for a, b in zip(lines[::3], lines[1::3], strict=True)
+            )
+    panel = system(plan.data).axes[0]
+    for line, name in zip(panel.get_lines()[:3], ("low", "mid", "high"), strict=True):
+        drawn = plan.scenario(name)["pd"].sum("bus").values
+        assert line.get_ydata()[:-1].tolist() == pytest.approx(drawn.tolist())
+
+
 def test_the_title_names_the_scenario(plan: om.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     titles = []
     monkeypatch.setattr(

@@ -1,4 +1,7 @@
-"""Figures of a run or a plan, for the entire system and for individual buses."""
+"""Figures of a run or a plan, for the entire system and for individual buses.
+
+The scenarios of a plan appear as a fan: one line for each, the fainter the less probable.
+"""
 
 from __future__ import annotations
 
@@ -174,12 +177,32 @@ def _step_hours(data: xr.Dataset) -> float:
 
 def _steps(axis: Any, data: xr.Dataset, values: Any, **style: Any) -> None:
     """Plot a quantity that is constant during each stage."""
-    axis.step(_ends(data), np.append(values, values[-1]), where="post", linewidth=1.2, **style)
+    for path, line in _fan(data, style):
+        own = values[path]
+        axis.step(_ends(data, path), np.append(own, own[-1]), where="post", linewidth=1.2, **line)
 
 
 def _line(axis: Any, data: xr.Dataset, starts: Any, ends: Any, **style: Any) -> None:
     """Plot a state at the start of each stage and at the end of the last."""
-    axis.plot(_ends(data), np.append(starts, ends[-1]), linewidth=1.2, marker=".", markersize=3, **style)
+    for path, line in _fan(data, style):
+        values = np.append(starts[path], ends[path[-1]])
+        axis.plot(_ends(data, path), values, linewidth=1.2, marker=".", markersize=3, **line)
+
+
+def _fan(data: xr.Dataset, style: dict[str, Any]) -> list[tuple[Any, dict[str, Any]]]:
+    """Positions of the stages of each scenario, and the style of its line; the label is given once."""
+    if "node" not in data.dims:
+        return [(np.arange(data.sizes["time"]), style)]
+    parent, probability = data["parent"].values, data["probability"].values
+    fan: list[tuple[Any, dict[str, Any]]] = []
+    for leaf in sorted(set(range(parent.size)) - set(parent.tolist())):
+        path = [leaf]
+        while parent[path[0]] >= 0:
+            path.insert(0, int(parent[path[0]]))
+        label = {} if fan else {"label": style.get("label")}
+        fan.append((np.array(path), {**style, "label": None, **label, "alpha": probability[leaf]}))
+    most = max(shown["alpha"] for _, shown in fan)
+    return [(path, {**shown, "alpha": 0.3 + 0.7 * shown["alpha"] / most}) for path, shown in fan]
 
 
 def _key(axis: Any) -> None:
@@ -188,10 +211,10 @@ def _key(axis: Any) -> None:
         axis.plot([], [], color="0.4", linewidth=1.2, linestyle=style, label=label)
 
 
-def _ends(data: xr.Dataset) -> Any:
-    """Start of each stage and end of the last: hours, or times in UTC."""
-    times = data["time"].values
-    step: Any = _step_hours(data)
+def _ends(data: xr.Dataset, path: Any) -> Any:
+    """Start of each stage of a path and end of the last: hours, or times in UTC."""
+    times = data["time"].values[path]
+    step: Any = float(data["hours"].values[path[-1]]) if "hours" in data.coords else _step_hours(data)
     if _dated(data):
         step = np.timedelta64(round(3_600_000_000_000 * step), "ns")
     return np.append(times, times[-1] + step)
@@ -220,14 +243,19 @@ def _finish(figure: Figure, data: xr.Dataset) -> None:
 
 def _total(data: xr.Dataset, quantity: str) -> Any:
     if quantity not in data:
-        return np.zeros(data.sizes["time"])
+        return np.zeros(data.sizes[_stages(data)])
     array = data[quantity]
-    return array.sum([d for d in array.dims if d != "time"]).values
+    return array.sum([d for d in array.dims if d != _stages(data)]).values
+
+
+def _stages(data: xr.Dataset) -> str:
+    """Dimension of the stages: nodes of a tree, or time."""
+    return "node" if "node" in data.dims else "time"
 
 
 def _injections(data: xr.Dataset) -> list[str]:
     """Names of the injections of devices from other packages: ``<kind>_p``."""
-    return [str(n) for n in data if str(n).endswith("_p") and data[n].dims == ("time", "bus")]
+    return [str(n) for n in data if str(n).endswith("_p") and data[n].dims == (_stages(data), "bus")]
 
 
 def _at_bus(data: xr.Dataset, quantity: str, kind: str, bus: str) -> Any:
