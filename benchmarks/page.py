@@ -51,8 +51,9 @@ storage units).""",
     ),
     "tree": (
         "Trees of scenarios",
-        """IEEE 118 with storage at every bus, 1, 3, 5 and 9 scenarios of 24 stages that share two: cold from the
-plan for the expected future (the default) and from the midpoint of the bounds, and warm steps of a closed loop.
+        """IEEE 118 with storage at every bus and 1, 3, 5 and 9 scenarios of 24 stages that share two: cold
+from the plan for the expected future (the default) and from the midpoint of the bounds, and warm steps
+of a closed loop.
 [uncertainty.md](uncertainty.md) has results.""",
     ),
     "peers": (

@@ -24,7 +24,7 @@ def profiled(horizon: int, situation: str) -> dict[str, Any]:
     problem.compile()
     plan = problem.solve()
     state = plan.next_state()
-    session: Any = problem._compiled[2]
+    session: Any = problem.session
     options = session._plugin_options(situation) | {"record_time": True}
     session._solvers[situation] = ca.nlpsol(
         "solver",

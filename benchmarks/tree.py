@@ -23,7 +23,6 @@ def tree_118(scenarios: int) -> dict[str, Any]:
     The cold solve begins at the plan for the expected future, ``midpoint`` at the midpoint of the bounds.
     """
     import opfmodel as om
-    import solvers
     from opfmodel.profiles.scale import Scale
 
     network, series = case118(STAGES + 2)
@@ -39,8 +38,7 @@ def tree_118(scenarios: int) -> dict[str, Any]:
     run = om.simulate(om.Controller(problem, scenarios=futures), steps=3)
     warm = [plan["step_seconds"] for plan in run.plans[1:]]
     first = om.Controller(problem, scenarios=futures).plan(0, None)
-    session = solvers.prepare(problem.compile(), problem.solver, problem.options)
-    bare, found = timed(lambda: session.solve(first.solution.instance))
+    bare, found = timed(lambda: problem.session.solve(first.solution.instance))
     assert found.status.is_optimal
     return {
         "nodes": len(horizon),

@@ -80,14 +80,14 @@ def starts(name: str, quick: bool) -> dict[str, Any]:
     for label, (keep, options) in STARTS.items():
         other = problem.variant(elastic=None)
         other.options = options
-        session = other._compiled[2]
+        session = other.session
         rows[label] = _figures(
             [
                 session.solve(instance, moved(before, keep))
                 for before, instance in zip(cold, instances[1:], strict=False)
             ]
         )
-    session = problem._compiled[2]
+    session = problem.session
     alone: Callable[[Any], Any] = lambda solution: type(solution.start())(moved(solution, 1).x)  # noqa: E731
     rows["primal values alone"] = _figures(
         [session.solve(instance, alone(b)) for b, instance in zip(cold, instances[1:], strict=False)]

@@ -365,7 +365,7 @@ def test_starts_on_a_tree_keep_the_optimum() -> None:
     plan = problem.solve(initial=initial, expected=ahead)
     reference = extensive.solve(grid(), nodes(horizon, futures(horizon, 2)), ENERGY, dispatch=BEFORE)
     assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
-    bare = problem._compiled[2].solve(plan.solution.instance)
+    bare = problem.session.solve(plan.solution.instance)
     assert plan.solution.objective == pytest.approx(bare.objective, rel=1e-6)
     assert plan.solution.iterations < bare.iterations  # that of the expected future is a good start
     state = plan.next_state()

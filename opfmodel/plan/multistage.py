@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, get_args
 
@@ -18,8 +16,6 @@ from opfmodel.errors import (
     ConstraintError,
     IncompatibleError,
     ModelError,
-    QuantityError,
-    listed,
     shown,
 )
 from opfmodel.formulations.base import Formulation
@@ -28,23 +24,21 @@ from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Publ
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
-from opfmodel.network.series import check_series, fields_with_series, widest, window
-from opfmodel.network.units import scale
+from opfmodel.network.series import check_series, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
+from opfmodel.plan.compiled import Compiled, compiled, declared
 from opfmodel.plan.end import End
 from opfmodel.plan.extent import AtEnd, check_lengths, steps_from
 from opfmodel.plan.memory import check_memory, problem_bytes
-from opfmodel.plan.nodes import at_nodes, mean_of_futures, over_nodes
-from opfmodel.plan.numbers import Numbers
-from opfmodel.plan.parts import absent_devices, make_devices, make_formulation, publishing
+from opfmodel.plan.nodes import over_nodes
+from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
-from opfmodel.plan.result import Plan, penalty_outputs
+from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
-from opfmodel.plan.shortage import SHORTAGE, Nothing, limit_shortage, without_outbidding
-from opfmodel.plan.shrinking import Shrinking
-from opfmodel.plan.start import lifted, moved
-from solvers import Expression, Kind, Program, Session, SolverError, Start, Sum, classify, prepare
+from opfmodel.plan.shortage import Nothing, without_outbidding
+from opfmodel.plan.solving import solved
+from solvers import Program, Session
 from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
@@ -188,10 +182,8 @@ class MultiStage:
         self.solver = solver
         self.options = dict(options or {})
         self.verbose = verbose
-        self.build_seconds = 0.0
         self.constraints: dict[str, CustomConstraint] = {}
-        self._rationed, self._split_shedding = False, False
-        self._shrinking: Shrinking | None = None
+        self.rationed, self.split_shedding = False, False
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -329,7 +321,7 @@ class MultiStage:
             if isinstance(member, cached_property):
                 vars(twin).pop(name, None)
         twin.constraints = dict(self.constraints)
-        twin.elastic, twin._rationed, twin._split_shedding = elastic, rationed, split_shedding
+        twin.elastic, twin.rationed, twin.split_shedding = elastic, rationed, split_shedding
         twin.horizon = self.horizon if horizon is None else horizon
         twin.objective = self.objective if objective is None else objective
         return twin
@@ -348,6 +340,14 @@ class MultiStage:
     def split_shedding_problem(self) -> MultiStage:
         """The problem of minimum penalty in which active and reactive demand are shed independently."""
         return self.variant(elastic=self.elastic, objective=Nothing(self.objective), split_shedding=True)
+
+    @cached_property
+    def expected_problem(self) -> MultiStage:
+        """The problem of the expected future alone."""
+        chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
+        chain.risk = None  # of a single future there is none
+        chain.constraints = {}  # they may name nodes; without them it is still a start
+        return chain
 
     @property
     def described(self) -> dict[str, tuple[str, str]]:
@@ -462,122 +462,38 @@ class MultiStage:
 
     # Compiling ---------------------------------------------------------------------------
 
+    @cached_property
+    def _compiled(self) -> Compiled:
+        return compiled(self)
+
+    def compile(self) -> Program:
+        """Return the program, compiled at the first call or solve."""
+        return self._compiled.program
+
     @property
     def model(self) -> Model:
         """Declarations of the formulation and the devices; compiles the problem if necessary."""
-        return self._compiled[0]
+        return self._compiled.model
+
+    @property
+    def session(self) -> Session:
+        """The prepared solver; compiles the problem if necessary."""
+        return self._compiled.session
+
+    @property
+    def build_seconds(self) -> float:
+        """Time that compilation took; 0 before."""
+        return self._compiled.seconds if "_compiled" in self.__dict__ else 0.0
 
     def declare(self, horizon: Horizon | None = None) -> Model:
         """Return the declarations of formulation and devices, without objective and constraints; uncached.
-
-        A kind without components in service publishes its quantities, all empty, if the objective needs one.
 
         Parameters
         ----------
         horizon
             The horizon, if it differs.
         """
-        own = {key: values[:, :1] for key, values in self._objective_series.items()}
-        model = Model(
-            self.arrays.with_series({**widest(self.profiles, self.arrays), **own}),
-            self.horizon if horizon is None else horizon,
-            delay=self.generator_delay,
-            reactive=self.formulation.reactive,
-            zones=self.formulation.zones(self.arrays),
-            series={*fields_with_series(self.profiles, self.arrays), *own},
-            elastic=self.elastic,
-            split_shedding=self._split_shedding,
-            regularisation=self.regularisation,
-            shrinks=self.at_end == "shrink",
-        )
-        self.formulation.declare(model)
-        for device in self.devices:
-            model.connect(device)
-        if not self._published_by(model):
-            for device in absent_devices(self.arrays):
-                model.connect(device)
-        return model
-
-    def _published_by(self, model: Model) -> bool:
-        """Whether a model publishes all quantities that the objective needs."""
-        return all(map(model.has, self.objective.needs))
-
-    def compile(self) -> Program:
-        """Return the program, compiled at the first call or solve."""
-        return self._compiled[1]
-
-    @cached_property
-    @interruptible()
-    def _compiled(self) -> tuple[Model, Program, Session]:
-        began = clock.perf_counter()
-        model = self.declare()
-        self._check_needs(model)
-        self._minimize(model)
-        for constraint in self.constraints.values():
-            self._constrain(model, constraint)
-        for name, published in {**model.published, **model.reported}.items():
-            model.build.output(name, published.values)
-        for name, cost in zip(penalty_outputs(model), model.penalties, strict=True):
-            model.build.output(name, cost)
-        if self._rationed:
-            limit_shortage(model)
-        program = model.build.build()
-        if self.at_end == "shrink" and self.stages > 1:
-            stocks = [name for name, state in model.states.items() if state.role == "stock"]
-            whole = [*(f"{name}_cyclic" for name in stocks), SHORTAGE]
-            self._shrinking = Shrinking(program, self.stages, stocks, whole)
-        session = prepare(program, self.solver, self.options, self.verbose)
-        self.build_seconds = clock.perf_counter() - began
-        return model, program, session
-
-    def _check_needs(self, model: Model) -> None:
-        missing = [name for name in self.objective.needs if not model.has(name)]
-        if missing:
-            able = publishing(missing, self.arrays, self.devices)
-            raise IncompatibleError(
-                f"objective {type(self.objective).__name__} needs {', '.join(missing)}, which formulation "
-                f"{self.formulation.name!r} with the devices of {self.network.name!r} does not publish"
-                + (f"; formulations that do: {', '.join(able)}" if able else "")
-            )
-
-    def explain(self, error: QuantityError) -> ModelError:
-        """Return the error of a constraint that uses an unpublished quantity.
-
-        An :class:`IncompatibleError` if other formulations publish it, else the given error.
-        """
-        able = publishing([error.quantity], self.arrays, self.devices)
-        if not able or self.formulation.name in able:
-            return error
-        return IncompatibleError(
-            f"formulation {self.formulation.name!r} does not publish {error.kind}.{error.quantity}; "
-            f"formulations that do: {', '.join(able)}"
-        )
-
-    def _minimize(self, model: Model) -> None:
-        share = 1.0 if self.risk is None else 1.0 - self.risk.weight
-        weights = {"stage": model.weight, "terminal": model.probability_of(model.horizon.leaves)}
-        parts = []
-        for part, weight in weights.items():
-            what = f"{part}_cost"
-            cost = getattr(self.objective, what)(model)
-            if isinstance(cost, Expression | Sum):
-                model.build.minimize(cost * (share * weight))
-                parts.append((part, cost))
-            elif cost is not None:
-                raise ModelError(
-                    f"objective {type(self.objective).__name__}: {what} = {shown(cost)}: "
-                    "must be a quantity or total of the stage, or None"
-                )
-        if self.risk is not None and self.risk.weight:
-            self.risk.minimise(model, parts)
-
-    def _constrain(self, model: Model, constraint: CustomConstraint) -> None:
-        try:
-            constraint.declare(model)
-        except QuantityError as error:
-            raise _of_constraint(constraint.name, self.explain(error)) from error
-        except (ModelError, SolverError) as error:
-            raise _of_constraint(constraint.name, error) from error
+        return declared(self, self.horizon if horizon is None else horizon)
 
     # Solving -----------------------------------------------------------------------------
 
@@ -643,130 +559,4 @@ class MultiStage:
         limits
             Bounds of rows and variables, by block, in place of those of the request.
         """
-        time, initial, end = request.time, request.initial, request.end
-        model, program, session = self._compiled
-        self._check_request(request, previous)
-        horizon = self.horizon_from(time)
-        begin = self.stages - len(horizon)
-        series = {**self.ahead(time), **(request.expected or {})}
-        network = self.arrays.with_series(series)
-        numbers = self._numbers(model, program, network, series, begin)
-        if model.horizon.varying:
-            numbers.parameters["probability"] = request.horizon.probability
-        for state in model.states.values():
-            table = network.tables[state.kind]
-            if initial is not None and state.name in initial:
-                given = initial[state.name]
-                values = None if given is None else _numbers(state.name, given)
-                if values is not None:
-                    values = values / scale(state.unit, table.base_mva)
-            else:
-                values = table.arrays[state.initial][:, 0] if state.initial else None
-            numbers.start_from(state.name, values)
-            numbers.end_with(state.name, end)
-        for constraint in self.constraints.values():
-            if constraint.limited:
-                low, high = constraint.window(time, horizon.steps, self.at_end == "repeat")
-                numbers.limit(
-                    constraint.rows,
-                    at_nodes([low[None, :]], horizon, "max"),
-                    at_nodes([high[None, :]], horizon, "min"),
-                )
-        for name, (lower, upper) in (limits or {}).items():
-            numbers.limit(name, lower, upper)
-        instance = numbers.instance()
-        start, effort = _start(previous, program, request, begin, multipliers), 0.0
-        if start is None and not limits:
-            start, effort = self._from_expected(request, network)
-        solution = session.solve(instance, start)
-        solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
-        return Plan(self, model, solution, network, request)
-
-    def _from_expected(self, request: Request, network: PerUnitNetwork) -> tuple[Start | None, float]:
-        """Return the plan for the expected future as a start, and its seconds; None if it is of no use.
-
-        Nonlinear problems over a tree need fewer iterations from it, and it is far smaller.
-        """
-        model, program, _ = self._compiled
-        if model.horizon.is_chain or classify(program).kind < Kind.NONLINEAR:
-            return None, 0.0
-        known = {
-            (kind, field): values
-            for kind, field in model.series
-            for values in (network.tables[kind].arrays[field],)
-        }
-        mean = mean_of_futures(known, request.horizon)
-        chain = self._expected_problem
-        plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
-        start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
-        return start, plan.solution.seconds
-
-    @cached_property
-    def _expected_problem(self) -> MultiStage:
-        """The problem of the expected future alone."""
-        chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
-        chain.risk = None  # of a single future there is none
-        chain.constraints = {}  # they may name nodes; without them it is still a start
-        return chain
-
-    def _check_request(self, request: Request, previous: Plan | None) -> None:
-        """Raise :class:`ModelError` for arguments of a solve that do not fit the compiled problem."""
-        model, program, _ = self._compiled
-        integer("time", request.time, at_least=0)
-        if previous is not None and not isinstance(previous, Plan):
-            raise ModelError(f"previous = {shown(previous)}: must be a plan")
-        if (
-            previous is not None
-            and previous.problem is not self
-            and previous.solution.x.size != program.n_variables
-        ):
-            raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
-        for key in request.expected or {}:
-            if key not in model.series:
-                known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
-                raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
-        for name in request.initial or {}:
-            if name not in model.states:
-                raise ModelError(f"initial: no state is named {name!r}; states: {', '.join(model.states)}")
-        own = model.horizon
-        if request.horizon is not own and not (own.varying and own.same_nodes(request.horizon)):
-            raise ModelError(
-                "horizon: may differ from that of the problem in probabilities alone, if these are varying"
-            )
-
-    def _numbers(
-        self, model: Model, program: Program, network: PerUnitNetwork, series: Fields, begin: int
-    ) -> Numbers:
-        """Return the instance data of a plan that begins at a stage of the program."""
-        if not begin:
-            return Numbers(model, program, network)
-        assert self._shrinking is not None
-        ahead = {key: np.repeat(values[:, :1], begin, axis=1) for key, values in series.items()}
-        whole = {key: np.hstack([ahead[key], values]) for key, values in series.items()}
-        return Numbers(model, program, self.arrays.with_series(whole), begin, self._shrinking.freed(begin))
-
-
-def _start(
-    previous: Plan | None, program: Program, request: Request, begin: int, multipliers: bool
-) -> Start | None:
-    time = request.time
-    if previous is None or time < previous.time or not previous.solution.status.is_optimal:
-        return None
-    steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
-    start = moved(previous.solution, previous.request.horizon, request.horizon, steps)
-    if previous.solution.program is not program:  # from another elastic variant of the problem
-        return Start(start.x) if start.x.size == program.n_variables else None
-    return start if multipliers else Start(start.x)
-
-
-def _numbers(state: str, given: npt.ArrayLike) -> Array:
-    try:
-        return np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(f"initial {state}: {given!r}: must be one number per component") from None
-
-
-def _of_constraint(name: str, error: Exception) -> ModelError:
-    """Return an error with the name of its constraint in front."""
-    kind = IncompatibleError if isinstance(error, IncompatibleError) else ModelError
-    return kind(f"constraint {name!r}: {error}")
+        return solved(self, self._compiled, request, previous, multipliers, limits)

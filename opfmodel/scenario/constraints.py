@@ -20,6 +20,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Linear, PhysicalStage
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan import MultiStage
+from opfmodel.plan.compiled import explained
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ColumnSection, ConstraintSection, ScenarioFile
@@ -135,6 +136,6 @@ def _errors_of_terms(linear: Linear, stage: Any, problem: MultiStage) -> Iterato
         try:
             linear.term(stage, key)
         except ModelError as error:
-            found = problem.explain(error) if isinstance(error, QuantityError) else error
+            found = explained(problem, error) if isinstance(error, QuantityError) else error
             found.key = ("terms", key)
             yield found

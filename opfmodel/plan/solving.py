@@ -1,0 +1,171 @@
+"""One solve of a compiled problem: from a request to a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError, listed, shown
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import integer
+from opfmodel.network.units import scale
+from opfmodel.plan.compiled import Compiled
+from opfmodel.plan.nodes import at_nodes, mean_of_futures
+from opfmodel.plan.numbers import Numbers
+from opfmodel.plan.request import Limits, Request
+from opfmodel.plan.result import Plan
+from opfmodel.plan.start import lifted, moved
+from solvers import Kind, Program, Start, classify
+
+if TYPE_CHECKING:
+    from opfmodel.plan.multistage import MultiStage
+
+__all__ = ["solved"]
+
+Array = npt.NDArray[np.float64]
+
+
+def solved(
+    problem: MultiStage,
+    compiled: Compiled,
+    request: Request,
+    previous: Plan | None = None,
+    multipliers: bool = True,
+    limits: Limits | None = None,
+) -> Plan:
+    """Return the plan of one solve; of an elastic problem for the sum of cost and penalty.
+
+    Parameters
+    ----------
+    previous
+        An earlier plan to start from, with its multipliers or without.
+    limits
+        Bounds of rows and variables, by block, in place of those of the request.
+    """
+    time, initial, end = request.time, request.initial, request.end
+    model, program, session = compiled.model, compiled.program, compiled.session
+    _check(request, problem, compiled, previous)
+    horizon = problem.horizon_from(time)
+    begin = problem.stages - len(horizon)
+    series = {**problem.ahead(time), **(request.expected or {})}
+    network = problem.arrays.with_series(series)
+    numbers = _numbers(problem, compiled, network, series, begin)
+    if model.horizon.varying:
+        numbers.parameters["probability"] = request.horizon.probability
+    for state in model.states.values():
+        table = network.tables[state.kind]
+        if initial is not None and state.name in initial:
+            given = initial[state.name]
+            values = None if given is None else _state(state.name, given)
+            if values is not None:
+                values = values / scale(state.unit, table.base_mva)
+        else:
+            values = table.arrays[state.initial][:, 0] if state.initial else None
+        numbers.start_from(state.name, values)
+        numbers.end_with(state.name, end)
+    for constraint in problem.constraints.values():
+        if constraint.limited:
+            low, high = constraint.window(time, horizon.steps, problem.at_end == "repeat")
+            numbers.limit(
+                constraint.rows,
+                at_nodes([low[None, :]], horizon, "max"),
+                at_nodes([high[None, :]], horizon, "min"),
+            )
+    for name, (lower, upper) in (limits or {}).items():
+        numbers.limit(name, lower, upper)
+    instance = numbers.instance()
+    start, effort = _from_previous(previous, program, request, begin, multipliers), 0.0
+    if start is None and not limits:
+        start, effort = _from_expected(problem, compiled, request, network)
+    solution = session.solve(instance, start)
+    solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
+    return Plan(problem, model, solution, network, request)
+
+
+def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: Plan | None) -> None:
+    """Raise :class:`ModelError` for arguments of a solve that do not fit the compiled problem."""
+    model, program = compiled.model, compiled.program
+    integer("time", request.time, at_least=0)
+    if previous is not None and not isinstance(previous, Plan):
+        raise ModelError(f"previous = {shown(previous)}: must be a plan")
+    if (
+        previous is not None
+        and previous.problem is not problem
+        and previous.solution.x.size != program.n_variables
+    ):
+        raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
+    for key in request.expected or {}:
+        if key not in model.series:
+            known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
+            raise ModelError(f"expected: {'.'.join(key)}: has no time series; those that have: {known}")
+    for name in request.initial or {}:
+        if name not in model.states:
+            raise ModelError(f"initial: no state is named {name!r}; states: {', '.join(model.states)}")
+    own = model.horizon
+    if request.horizon is not own and not (own.varying and own.same_nodes(request.horizon)):
+        raise ModelError(
+            "horizon: may differ from that of the problem in probabilities alone, if these are varying"
+        )
+
+
+def _numbers(
+    problem: MultiStage,
+    compiled: Compiled,
+    network: PerUnitNetwork,
+    series: Mapping[tuple[str, str], Array],
+    begin: int,
+) -> Numbers:
+    """Return the instance data of a plan that begins at a stage of the program."""
+    model, program, shrinking = compiled.model, compiled.program, compiled.shrinking
+    if not begin:
+        return Numbers(model, program, network)
+    assert shrinking is not None
+    ahead = {key: np.repeat(values[:, :1], begin, axis=1) for key, values in series.items()}
+    whole = {key: np.hstack([ahead[key], values]) for key, values in series.items()}
+    return Numbers(model, program, problem.arrays.with_series(whole), begin, shrinking.freed(begin))
+
+
+def _state(state: str, given: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"initial {state}: {given!r}: must be one number per component") from None
+
+
+def _from_previous(
+    previous: Plan | None, program: Program, request: Request, begin: int, multipliers: bool
+) -> Start | None:
+    time = request.time
+    if previous is None or time < previous.time or not previous.solution.status.is_optimal:
+        return None
+    steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
+    start = moved(previous.solution, previous.request.horizon, request.horizon, steps)
+    if previous.solution.program is not program:  # from another elastic variant of the problem
+        return Start(start.x) if start.x.size == program.n_variables else None
+    return start if multipliers else Start(start.x)
+
+
+def _from_expected(
+    problem: MultiStage, compiled: Compiled, request: Request, network: PerUnitNetwork
+) -> tuple[Start | None, float]:
+    """Return the plan for the expected future as a start, and its seconds; None if it is of no use.
+
+    Nonlinear problems over a tree need fewer iterations from it, and it is far smaller.
+    """
+    model, program = compiled.model, compiled.program
+    if model.horizon.is_chain or classify(program).kind < Kind.NONLINEAR:
+        return None, 0.0
+    known = {
+        (kind, field): values
+        for kind, field in model.series
+        for values in (network.tables[kind].arrays[field],)
+    }
+    mean = mean_of_futures(known, request.horizon)
+    chain = problem.expected_problem
+    plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
+    start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
+    return start, plan.solution.seconds
