@@ -1,4 +1,4 @@
-"""Write the table of docs/uncertainty.md from the results of scenarios/studies/uncertainty.yaml.
+"""Write the table and the figure of docs/uncertainty.md from scenarios/studies/uncertainty.yaml.
 
 opfmodel study run scenarios/studies/uncertainty.yaml --out DIR --workers 2
 python -m benchmarks.uncertainty DIR
@@ -14,6 +14,7 @@ from typing import Any
 
 import opfmodel as om
 from benchmarks.harness import splice
+from opfmodel.results import figures
 from opfmodel.study import read_study, read_table
 
 ROOT = Path(__file__).parent.parent
@@ -27,11 +28,27 @@ HEAD = (
 )
 
 
+def scenario(**labels: str) -> om.Scenario:
+    """The first scenario of the study with these labels."""
+    variations = read_study(STUDY).variations()
+    chosen = next(v for v in variations if labels.items() <= v.labels.items())
+    return om.load_scenario(chosen.scenario, overrides=chosen.overrides)
+
+
+def fan() -> om.Plan:
+    """The first plan of the 5-bus system for nine scenarios, with a forecast error of 6 %."""
+    loaded = scenario(**{"system": "case5-step", "forecast-error": "6 %", "controller": "tree-9"})
+    planner = om.Controller(loaded.problem, loaded.forecast, scenarios=loaded.scenarios)
+    return planner.plan(0, loaded.initial())
+
+
 def perfect(system: str) -> tuple[Row, float]:
     """The summary of the loop of a system whose forecast is perfect, and the price of energy at its end."""
-    variation = next(v for v in read_study(STUDY).variations() if v.labels["system"] == system)
-    scenario = om.load_scenario(variation.scenario, overrides={**variation.overrides, "forecast": "perfect"})
-    run = scenario.simulate()
+    loaded = scenario(system=system, controller="forecast")
+    controller = om.Controller(loaded.problem)
+    run = om.simulate(
+        controller, loaded.plant(), loaded.steps, initial=loaded.initial(), objective=loaded.cost
+    )
     return run.summary(), float(run.data["lmp"].isel(time=-1).mean())
 
 
@@ -87,6 +104,8 @@ def main() -> None:
     rows = read_table(sys.argv[1])
     rule = "| --- | --- | --- |" + " ---: |" * (HEAD.count("|") - 4)
     splice(PAGE, "value of scenarios", "\n".join([HEAD, rule, *lines(rows)]))
+    picture = figures.system(fan().data)
+    picture.savefig(ROOT / "docs" / "figures" / "uncertainty.png", dpi=120)
     left = [row for row in rows if row["status"] != "done"]
     print(f"{PAGE} written; {len(rows) - len(left)} of {len(rows)} closed loops done")
 
