@@ -45,6 +45,7 @@ from .plan import (
     MultiStage as MultiStage,
     Plan as Plan,
     Risk as Risk,
+    Security as Security,
 )
 from .plan.power_flow import (
     PowerFlowResult as PowerFlowResult,

@@ -187,6 +187,10 @@ class HorizonError(ModelError):
     """The nodes of a horizon do not fit together: lengths, probabilities, common part."""
 
 
+class SecurityError(ModelError):
+    """Contingencies do not fit the network: a name is unknown, or an outage splits the grid."""
+
+
 class IncompatibleError(ModelError):
     """Valid parts, such as an objective and a formulation, cannot be combined.
 

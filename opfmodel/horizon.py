@@ -1,8 +1,8 @@
-"""Horizons: the nodes in time of a problem, as a chain, an uneven grid or a scenario tree."""
+"""Horizons: the nodes in time of a problem, as a chain, an uneven grid or a tree, with contingencies."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -19,6 +19,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 _SAME = 1e-9  # relative; hours and probabilities are sums of rounded numbers
+_OF_NODES = ("parent", "hours", "probability", "step", "series", "scenario")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,9 @@ class Horizon:
     cost is :math:`\sum_n \pi_n h_n \ell(x_n, u_n)`, with the probability :math:`\pi_n` and the length
     :math:`h_n` of node n. Parents come before their children. Made by :meth:`chain`, :meth:`grid` and
     :meth:`tree`.
+
+    A contingency is the state of the grid a few minutes after an outage at the end of a node: a child of
+    that node with its data, without probability and without children. Contingencies come last.
 
     Attributes
     ----------
@@ -46,6 +50,8 @@ class Horizon:
         Name of the future of each node, empty for nodes that all futures share.
     base
         Length of a base step, h: that of the time series and of the closed loop.
+    out
+        Components out of service in each node; empty if there are no contingencies.
     varying
         Whether each solve may state other probabilities; see :meth:`with_probabilities`.
     """
@@ -58,6 +64,7 @@ class Horizon:
     scenario: tuple[str, ...]
     base: float
     varying: bool = False
+    out: tuple[tuple[str, ...], ...] = ()
 
     # Making ------------------------------------------------------------------------------
 
@@ -157,6 +164,38 @@ class Horizon:
             varying=varying,
         )
 
+    def with_contingencies(self, outages: Iterable[tuple[int, tuple[str, ...]]], minutes: float) -> Horizon:
+        """Return these nodes with contingencies.
+
+        Parameters
+        ----------
+        outages
+            The node after which each outage happens, and the names of the components that it takes out.
+        minutes
+            Time for the response.
+
+        Examples
+        --------
+        >>> secured = Horizon.chain(2).with_contingencies([(0, ("tie",)), (1, ("tie",))], minutes=15)
+        >>> secured.parent.tolist(), secured.hours.tolist(), secured.leaves.tolist()
+        ([-1, 0, 0, 1], [1.0, 1.0, 0.25, 0.25], [1])
+        """
+        given = list(outages)
+        if not given:
+            return self.regular
+        nodes = self.regular
+        after = np.array([node for node, _ in given], dtype=np.intp)
+        return replace(
+            nodes,
+            parent=np.concatenate([nodes.parent, after]),
+            hours=np.concatenate([nodes.hours, np.full(after.size, minutes / 60)]),
+            probability=np.concatenate([nodes.probability, np.zeros(after.size)]),
+            step=np.concatenate([nodes.step, nodes.step[after]]),
+            series=np.concatenate([nodes.series, nodes.series[after]]),
+            scenario=(*nodes.scenario, *(nodes.scenario[node] for node in after)),
+            out=(*((),) * len(nodes), *(names for _, names in given)),
+        )
+
     def with_probabilities(self, scenarios: Sequence[float]) -> Self:
         """Return the same nodes with other probabilities of the scenarios, in the order of the leaves."""
         names = [str(number) for number in range(len(scenarios))]
@@ -168,8 +207,8 @@ class Horizon:
 
     def same_nodes(self, other: Horizon) -> bool:
         """Return whether another horizon differs in probabilities alone."""
-        mine, theirs = (self.parent, self.lengths, self.series), (other.parent, other.lengths, other.series)
-        return self.base == other.base and all(map(np.array_equal, mine, theirs))
+        mine, theirs = (self.parent, self.hours, self.series), (other.parent, other.hours, other.series)
+        return (self.base, self.out) == (other.base, other.out) and all(map(np.array_equal, mine, theirs))
 
     # Structure ---------------------------------------------------------------------------
 
@@ -180,6 +219,8 @@ class Horizon:
         return f"Horizon({self})"
 
     def __str__(self) -> str:
+        if self.contingencies.size:
+            return f"{self.regular} with {self.contingencies.size} contingencies"
         noun = "stage" if len(self) == 1 else "stages"
         if not self.is_chain:
             steps = f"{self.steps} steps of {self.base:g} h"
@@ -187,6 +228,27 @@ class Horizon:
         if self.is_even:
             return f"{len(self)} {noun} of {self.base:g} h"
         return f"{len(self)} {noun} over {self.steps} steps of {self.base:g} h"
+
+    @cached_property
+    def contingencies(self) -> Index:
+        """Nodes that are contingencies; they come last."""
+        return np.flatnonzero([bool(names) for names in self.out])
+
+    @cached_property
+    def regular(self) -> Horizon:
+        """The same horizon without contingencies."""
+        count = len(self) - self.contingencies.size
+        if count == len(self):
+            return self
+        parts = {name: getattr(self, name)[:count] for name in _OF_NODES}
+        return replace(self, **parts, out=())
+
+    @cached_property
+    def owner(self) -> Index:
+        """The regular node to which each node belongs: itself, or that after which a contingency happens."""
+        owner = np.arange(len(self))
+        owner[self.contingencies] = self.parent[self.contingencies]
+        return owner
 
     @cached_property
     def is_chain(self) -> bool:
@@ -201,7 +263,7 @@ class Horizon:
     @cached_property
     def lengths(self) -> Index:
         """Base steps that each node covers."""
-        return np.rint(self.hours / self.base).astype(np.intp)
+        return np.asarray(np.rint(self.hours / self.base).astype(np.intp)[self.owner])
 
     @cached_property
     def steps(self) -> int:
@@ -219,6 +281,11 @@ class Horizon:
         return self.probability * self.hours
 
     @cached_property
+    def influence(self) -> Array:
+        """Weight of each node in prices and penalties, h: of a contingency, that of its owner."""
+        return self.weights[self.owner]
+
+    @cached_property
     def roots(self) -> Index:
         """Nodes that follow the measured state."""
         return np.flatnonzero(self.parent < 0)
@@ -230,24 +297,25 @@ class Horizon:
 
     @cached_property
     def leaves(self) -> Index:
-        """Nodes that no node follows, one per scenario."""
-        return np.setdiff1d(np.arange(len(self)), self.parent)
+        """Nodes that no regular node follows, one per scenario."""
+        nodes = self.regular
+        return np.setdiff1d(np.arange(len(nodes)), nodes.parent)
 
     @cached_property
     def siblings(self) -> tuple[Index, Index]:
-        """Nodes with the same parent: each but the first of them, and that first one."""
-        _, first, group = np.unique(self.parent, return_index=True, return_inverse=True)
+        """Regular nodes with the same parent: each but the first of them, and that first one."""
+        _, first, group = np.unique(self.regular.parent, return_index=True, return_inverse=True)
         eldest = first[group]
-        later = np.flatnonzero(eldest != np.arange(len(self)))
+        later = np.flatnonzero(eldest != np.arange(len(self.regular)))
         return later, eldest[later]
 
     @cached_property
     def depth(self) -> Index:
-        """Number of nodes before each node on its path."""
+        """Number of nodes before each node on its path; of a contingency, before its owner."""
         depth = np.zeros(len(self), dtype=np.intp)
-        for node in self.inner:  # parents come first
+        for node in self.regular.inner:  # parents come first
             depth[node] = depth[self.parent[node]] + 1
-        return depth
+        return depth[self.owner]
 
     @cached_property
     def trunk(self) -> Horizon:
@@ -274,17 +342,26 @@ class Horizon:
     def columns(self, count: int) -> Index | None:
         """Return the node of each column of an array with ``count`` columns; None if it has no such columns.
 
-        There is one column per node, per node with a parent, per leaf, per root, or one per node after one
-        for the value before the first, which is node -1.
+        There is one column per node, per node with a parent, per regular node, per leaf, per root, or one per
+        node after one for the value before the first, which is node -1.
         """
-        kinds = (np.arange(len(self)), np.arange(-1, len(self)), self.inner, self.leaves, self.roots)
+        nodes = np.arange(len(self))
+        kinds = (
+            nodes,
+            np.arange(-1, len(self)),
+            self.inner,
+            nodes[: len(self.regular)],
+            self.leaves,
+            self.roots,
+        )
         return next((nodes for nodes in kinds if nodes.size == count), None)
 
     def moved(self, steps: int) -> Index:
         """Return the node of the same horizon, begun ``steps`` base steps earlier, that each node resembles.
 
         Its start for a warm start: the node of the same future at that time. A leaf stays a leaf and the
-        node before it is repeated to fill the gap, because every horizon ends alike.
+        node before it is repeated to fill the gap, because every horizon ends alike. A contingency resembles
+        the same one of the node that its owner resembles, or that node if it has none.
         """
         nodes = np.arange(len(self), dtype=np.intp)
         likely = self.paths[int(np.argmax(self.probability[self.leaves]))]
@@ -292,6 +369,10 @@ class Horizon:
             ends = (self.step + self.lengths)[path]
             at = np.searchsorted(ends, self.step[path[:-1]] + steps, side="right")
             nodes[path[:-1]] = path[np.minimum(at, max(len(path) - 2, 0))]
+        known = {(int(self.owner[node]), self.out[node]): node for node in self.contingencies}
+        for node in self.contingencies:
+            owner = int(nodes[self.owner[node]])
+            nodes[node] = known.get((owner, self.out[node]), owner)
         return nodes
 
 

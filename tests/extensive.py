@@ -13,12 +13,17 @@ import opfmodel as om
 
 @dataclass
 class Node:
-    """A node of a tree: its parent, length, probability, and the demand by load in MW and MVAr."""
+    """A node of a tree: its parent, length, probability, and the demand by load in MW and MVAr.
+
+    After an outage, ``out`` is the component that is lost, and ratings are multiplied by ``rating``.
+    """
 
     parent: int
     hours: float
     probability: float
     demand: dict[str, tuple[float, float]]
+    out: str = ""
+    rating: float = 1.0
 
 
 def solve(
@@ -77,11 +82,13 @@ class _Problem:
         base, reactive = self.base, self.formulation in ("ac", "soc")
         of: dict[str, Any] = {"pg": {}, "qg": {}, "ps": {}, "qs": {}, "e": {}, "loss": {}}
         for name, unit in self.units.items():
-            of["pg"][name] = self.variable(unit.p[0] / base, unit.p[1] / base, 0.5 * unit.p[1] / base)
-            of["qg"][name] = self.variable(unit.q[0] / base, unit.q[1] / base) if reactive else 0.0
+            on = 0.0 if name == self.nodes[k].out else 1.0 / base
+            of["pg"][name] = self.variable(on * unit.p[0], on * unit.p[1], 0.5 * on * unit.p[1])
+            of["qg"][name] = self.variable(on * unit.q[0], on * unit.q[1]) if reactive else 0.0
         for name, cell in self.cells.items():
-            of["ps"][name] = self.variable(-cell.power / base, cell.power / base)
-            of["qs"][name] = self.variable(-cell.q / base, cell.q / base) if reactive else 0.0
+            on = 0.0 if name == self.nodes[k].out else 1.0 / base
+            of["ps"][name] = self.variable(-on * cell.power, on * cell.power)
+            of["qs"][name] = self.variable(-on * cell.q, on * cell.q) if reactive else 0.0
             of["e"][name] = self.variable(0.0, cell.energy / base, 0.5 * cell.energy / base)
         p = dict.fromkeys(self.buses, 0.0)
         q = dict.fromkeys(self.buses, 0.0)
@@ -95,6 +102,7 @@ class _Problem:
             demand = self.nodes[k].demand[name]
             p[load.bus] -= demand[0] / base
             q[load.bus] -= demand[1] / base
+        self.now = self.nodes[k]
         getattr(self, f"flows_{self.formulation}")(p, q)
         for bus in self.buses:
             self.balance[bus, k] = self.row(p[bus])
@@ -105,14 +113,14 @@ class _Problem:
     def flows_ac(self, p: dict[str, Any], q: dict[str, Any]) -> None:
         vm = {name: self.variable(*bus.vm, 1.0) for name, bus in self.buses.items()}
         va = {n: self.variable(0.0, 0.0) if b.reference else self.variable() for n, b in self.buses.items()}
-        for branch in self.branches.values():
+        for branch in self.in_service():
             f, t = branch.from_bus, branch.to_bus
             real, imaginary = (vm[f] * vm[t] * turn(va[f] - va[t]) for turn in (ca.cos, ca.sin))
             self.branch(branch, p, q, vm[f] ** 2, vm[t] ** 2, real, imaginary)
 
     def flows_soc(self, p: dict[str, Any], q: dict[str, Any]) -> None:
         w = {n: self.variable(b.vm[0] ** 2, b.vm[1] ** 2, 1.0) for n, b in self.buses.items()}
-        for branch in self.branches.values():
+        for branch in self.in_service():
             f, t = branch.from_bus, branch.to_bus
             real, imaginary = self.variable(start=1.0), self.variable()
             self.row(real**2 + imaginary**2 - w[f] * w[t], -np.inf, 0.0)
@@ -127,14 +135,20 @@ class _Problem:
             drawn = -(y.imag + half) * own + y.imag * real - sign * y.real * imaginary
             p[bus] -= active
             q[bus] -= drawn
-            self.row(active**2 + drawn**2, -np.inf, (branch.rating / self.base) ** 2)
+            self.row(active**2 + drawn**2, -np.inf, self.rating(branch) ** 2)
+
+    def in_service(self) -> list[om.Branch]:
+        return [branch for name, branch in self.branches.items() if name != self.now.out]
+
+    def rating(self, branch: om.Branch) -> float:
+        return self.now.rating * branch.rating / self.base
 
     def flows_dc(self, p: dict[str, Any], _: Any) -> None:
         va = {n: self.variable(0.0, 0.0) if b.reference else self.variable() for n, b in self.buses.items()}
-        for branch in self.branches.values():
+        for branch in self.in_service():
             f, t = branch.from_bus, branch.to_bus
             flow = branch.x / (branch.r**2 + branch.x**2) * (va[f] - va[t])
-            self.row(flow, -branch.rating / self.base, branch.rating / self.base)
+            self.row(flow, -self.rating(branch), self.rating(branch))
             p[f] -= flow
             p[t] += flow
 
@@ -148,8 +162,12 @@ class _Problem:
             for name in self.cells:
                 start = energy[name] / self.base if before is None else before["e"][name]
                 self.row(at["e"][name] - start - node.hours * at["ps"][name])
-            hours = node.hours if before is None else 0.5 * (node.hours + self.nodes[node.parent].hours)
+            hours = node.hours
+            if before is not None and not node.out:
+                hours = 0.5 * (node.hours + self.nodes[node.parent].hours)
             for name, unit in self.units.items():
+                if name == node.out:
+                    continue
                 if before is not None:
                     most = unit.ramp * hours / self.base
                     self.row(at["pg"][name] - before["pg"][name], -most, most)
@@ -160,12 +178,13 @@ class _Problem:
                     self.row(at["pg"][name] - dispatch[name][0] / self.base)
                     if self.formulation != "dc":
                         self.row(at["qg"][name] - dispatch[name][1] / self.base)
-                if delay == 1 and node.parent in shared:
+                if delay == 1 and node.parent in shared and not node.out:
                     eldest = self.stages[shared[node.parent]]
                     self.row(at["pg"][name] - eldest["pg"][name])
                     if self.formulation != "dc":
                         self.row(at["qg"][name] - eldest["qg"][name])
-            shared.setdefault(node.parent, k)
+            if not node.out:
+                shared.setdefault(node.parent, k)
 
     def cost(self, k: int) -> Any:
         """Cost of a node, $/h."""
@@ -179,8 +198,8 @@ class _Problem:
         """The mean and the conditional value at risk, with an excess for each leaf."""
         threshold = self.variable(start=1.0)
         tail = 0.0
-        parents = {node.parent for node in self.nodes}
-        for leaf in set(range(len(self.nodes))) - parents:
+        regular = {k for k, node in enumerate(self.nodes) if not node.out}
+        for leaf in regular - {self.nodes[k].parent for k in regular}:
             k, total = leaf, 0.0
             while k >= 0:
                 total += self.nodes[k].hours * costs[k]

@@ -48,7 +48,7 @@ class AC(Formulation):
         shunts(model, vm**2)
         f, t = branch.from_bus, branch.to_bus
         angle = va[f] - va[t]
-        flows = branch_flow(network.admittance, *polar_products(vm[f], vm[t], angle))
+        flows = branch_flow(model.admittance, *polar_products(vm[f], vm[t], angle))
         publish_flows(model, *flows)
         transport(model, *flows)
         limit_angle(model, angle)

@@ -60,7 +60,7 @@ class ACRectangular(Formulation):
         shunts(model, w)
         f, t = branch.from_bus, branch.to_bus
         products = rectangular_products(vr[f], vi[f], vr[t], vi[t])
-        flows = branch_flow(network.admittance, *products)
+        flows = branch_flow(model.admittance, *products)
         publish_flows(model, *flows)
         transport(model, *flows)
         limit_products(model, products[2], products[3])

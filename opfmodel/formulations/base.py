@@ -219,7 +219,7 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
             "more than 180 degrees apart cannot be expressed in voltage products; "
             "tighten them, or remove them with (-360, 360)"
         )
-    real, imaginary = w_r[members], w_i[members]
+    real, imaginary = model.switched(w_r)[members], model.switched(w_i)[members]
     above = np.cos(low) * imaginary - np.sin(low) * real
     below = np.cos(high) * imaginary - np.sin(high) * real
     soft = _soft_angle(members)  # near 1 p.u. the excess in products is that of the angle

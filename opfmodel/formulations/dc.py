@@ -51,7 +51,7 @@ class DC(Formulation):
         va = angles(model)
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
-        flow = self.flow(model.network, angle)
+        flow = model.switched(self.flow(model.network, angle))
         publish_flows(model, flow, None, -flow, None)
         model.inject(branch.from_bus, p=-flow)
         model.inject(branch.to_bus, p=flow)

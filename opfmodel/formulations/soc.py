@@ -73,7 +73,7 @@ class SOC(Formulation):
         _lifted_cuts(model, n, w, wr, wi)
         f, t = branch.from_bus, branch.to_bus
         branch_r, branch_i = wr[n.pair], n.sign * wi[n.pair]
-        flows = branch_flow(network.admittance, w[f], w[t], branch_r, branch_i)
+        flows = branch_flow(model.admittance, w[f], w[t], branch_r, branch_i)
         publish_flows(model, *flows)
         model.inject(f, p=-flows[0], q=-flows[1])
         model.inject(t, p=-flows[2], q=-flows[3])

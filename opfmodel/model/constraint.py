@@ -132,11 +132,13 @@ class CustomConstraint:
         items, stages = rows.index.shape
         soft = Soft(
             "constraint", np.arange(items), "", "is missed by {}", "is exceeded by {}",
-            names=(self.name,) * items, timed=stages == model.stages,
+            names=(self.name,) * items, timed=stages == model.stage.stages,
         )  # fmt: skip
         limits = (self.at_least, self.at_most) if self.limited else (stated.lower, stated.upper)
-        model.soften("constraint", rows, soft, *limits)
-        if stages == model.stages:
+        nodes = np.arange(stages) if soft.timed else None
+        lower, upper = limits
+        model.soften("constraint", rows, soft, lower, upper, nodes=nodes)
+        if soft.timed:
             model.price(
                 "" if items == 1 else f"{self.name}_item", self.price,
                 lambda solution, _: -solution.dual(rows.name),
@@ -198,7 +200,7 @@ class PhysicalStage:
 
     def __init__(self, model: Model) -> None:
         self.network = model.network
-        self.step = model.step
+        self.step = model.stage.step
         self._model = model
 
     def __getattr__(self, kind: str) -> Any:
@@ -217,7 +219,7 @@ class PhysicalStage:
     @property
     def operating_cost(self) -> Any:
         """Operating cost of all devices, $/h."""
-        return self._model.operating_cost
+        return self._model.stage.operating_cost
 
 
 class _PhysicalQuantities:
@@ -226,12 +228,12 @@ class _PhysicalQuantities:
         self._kind = kind
 
     def __contains__(self, name: str) -> bool:
-        return name in getattr(self._model, self._kind)
+        return name in getattr(self._model.stage, self._kind)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        value = getattr(getattr(self._model, self._kind), name)
+        value = getattr(getattr(self._model.stage, self._kind), name)
         table = self._model.network.tables[self._kind]
         published = self._model.published.get(name)
         if published is not None and published.kind == self._kind:

@@ -60,8 +60,9 @@ class Price:
 
     def values(self, solution: Solution, network: PerUnitNetwork, horizon: Horizon) -> Array:
         """Return the price in every stage, given that this stage occurs; zero if it cannot."""
-        weights = horizon.weights if self.rate else horizon.probability
+        weights = horizon.influence if self.rate else horizon.probability[horizon.owner]
         total = self.read(solution, network)
+        weights = weights[: total.shape[1]]  # a constraint has no rows in contingencies, which come last
         return np.divide(total, weights, out=np.zeros_like(total), where=weights > 0)
 
 

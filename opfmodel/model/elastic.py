@@ -209,10 +209,12 @@ class Shortage:
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
         scenario = self.horizon.scenario[first]
         text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
+        if self.horizon.out and self.horizon.out[first]:
+            text += f" after the outage of {', '.join(self.horizon.out[first])}"
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
-                energy = _figure(float(self.amounts @ self.horizon.weights))
+                energy = _figure(float(self.amounts @ self.horizon.influence))
                 total = f", {energy} {_TOTALS[self.unit]} {'in all' if self.horizon.is_chain else 'expected'}"
             text += f" (in {short.size} stages{total})"
         return text
@@ -242,7 +244,7 @@ def shortages(
         names = soft.names or network.tables[slack.kind].names
         for side, part in slack.parts(solution.value(slack.block)):
             spread = slack.spread(part, len(names), hours.size) if soft.timed else part
-            weights = horizon.weights if soft.timed else horizon.weights[:1]
+            weights = horizon.influence if soft.timed else horizon.influence[:1]
             priced = float(getattr(prices, soft.price)) * spread * weights
             for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > LEAST):
                 key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from opfmodel.model.elastic import Elastic, Side, Slack, Soft
 from opfmodel.model.stage import Quantities, sum_of_costs
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.components import BUILT_IN
+from opfmodel.network.physics import Admittance
 from opfmodel.results.dataset import DEMAND
 from solvers import Expression, ProgramBuilder, Rows, Solution, Sum, total
 
@@ -73,8 +75,12 @@ class Model:
     step
         Length of each node in hours: a number if all are equal, else an array ``(1, stages)``.
     weight
-        Probability times length of each node, in h: a number if all are equal, an array ``(1, stages)``, or a
-        parameter if the probabilities may vary.
+        Probability times length of each regular node, in h: a number if all are equal, an array
+        ``(1, nodes)``, or a parameter if the probabilities may vary.
+    stage
+        What objectives, costs of devices and constraints see: the regular nodes.
+    status
+        Share of each branch that is in service, ``(branches, stages)``; None if no branch ever goes out.
     starts
         Nodes at which plans may begin.
     series
@@ -117,11 +123,13 @@ class Model:
         self.zones = zones
         self.build = ProgramBuilder(f"{network.name}, {horizon}", ordered=horizon.is_chain)
         self.probability = (
-            self.build.parameter("probability", 1, stages, horizon.probability)
+            self.build.parameter("probability", 1, len(horizon.regular), horizon.regular.probability)
             if horizon.varying
-            else horizon.probability[None, :]
+            else horizon.regular.probability[None, :]
         )
-        self.weight = self._hours_of(np.arange(stages))
+        self.weight = self._hours_of(np.arange(len(horizon.regular)))
+        self.stage = self if horizon.regular is horizon else RegularStage(self)
+        self.status = _status(network, horizon)
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -257,10 +265,11 @@ class Model:
     def _ramp(self, kind: str, name: str, values: Expression, unit: str, ramp: str, ramped: Index) -> None:
         """Limit the change of some items of a dispatch from stage to stage."""
         horizon, moving = self.horizon, values[ramped]
-        lengths = np.where(
-            horizon.parent < 0, horizon.hours, 0.5 * (horizon.hours + horizon.hours[horizon.parent])
+        alone = horizon.parent < 0
+        alone[horizon.contingencies] = True  # units respond for as long as it lasts
+        hours = _per_node(
+            np.where(alone, horizon.hours, 0.5 * (horizon.hours + horizon.hours[horizon.parent]))
         )
-        hours = _per_node(lengths)
 
         def most(table: Table) -> npt.NDArray[Any]:
             return np.asarray(table.arrays[ramp][ramped] * hours)
@@ -396,7 +405,9 @@ class Model:
         the user chooses the weight.
         """
         if self.regularisation:
-            self.build.minimize(self.regularisation * total(values**2) * self.weight)
+            self.build.minimize(
+                self.regularisation * total(values**2) * self._hours_of(np.arange(self.stages))
+            )
 
     # Soft limits -------------------------------------------------------------------------
 
@@ -463,10 +474,11 @@ class Model:
         return chosen if isinstance(chosen, Expression) else _per_node(chosen[0])
 
     def _hours_of(self, nodes: Index) -> Any:
-        """Return probability times length of nodes, in the form of :attr:`weight`."""
+        """Return the influence of nodes, in the form of :attr:`weight`; see :attr:`Horizon.influence`."""
         if isinstance(self.probability, Expression):
-            return self.probability[:, nodes] * self.horizon.hours[None, nodes]
-        return _per_node(self.horizon.weights[nodes])
+            owner = self.horizon.owner[nodes]
+            return self.probability[:, owner] * self.horizon.hours[None, owner]
+        return _per_node(self.horizon.influence[nodes])
 
     def penalty(self, soft: Soft, nodes: Index | None = None) -> Any:
         """Return the penalty in $ of one internal unit of a soft limit over each stage.
@@ -475,8 +487,22 @@ class Model:
         """
         assert self.elastic is not None
         unit = self.network.base_mva if soft.unit else 1.0
-        weights = self.weight if nodes is None else self._hours_of(np.maximum(nodes, 0))
+        nodes = np.arange(self.stages) if nodes is None else np.maximum(nodes, 0)
+        weights = self._hours_of(nodes)
+        if self.horizon.contingencies.size:
+            weights = weights * self._urgency[None, nodes]
         return soft.share * float(getattr(self.elastic, soft.price)) * unit * weights
+
+    @cached_property
+    def _urgency(self) -> Array:
+        """Factor of the penalties in each node: less than 1 in all contingencies of a node together.
+
+        No real load is shed for an outage that has not happened.
+        """
+        urgency, owner = np.ones(self.stages), self.horizon.owner
+        of = self.horizon.contingencies
+        urgency[of] = 0.5 / np.bincount(owner[of], minlength=self.stages)[owner[of]]
+        return urgency
 
     def _soften_balance(self) -> None:
         """Add penalised slack injections and withdrawals at every bus, or in every zone."""
@@ -583,7 +609,13 @@ class Model:
 
     def _balance_price(self, rows: str) -> Callable[[Solution, PerUnitNetwork], Array]:
         # more demand lowers the right-hand side of the balance
-        return lambda solution, _: -solution.dual(rows)[self.zones]
+        def read(solution: Solution, _: PerUnitNetwork) -> Array:
+            price = -solution.dual(rows)[self.zones]
+            for node in self.horizon.contingencies:  # demand is the same in a node and after an outage
+                price[:, self.horizon.owner[node]] += price[:, node]
+            return price
+
+        return read
 
     # Access to declared quantities -------------------------------------------------------
 
@@ -613,6 +645,68 @@ class Model:
     def operating_cost(self) -> Any:
         """Operating cost of all devices, $/h."""
         return sum_of_costs(self.devices, self)
+
+    def switched(self, values: Any) -> Any:
+        """Return a quantity of the branches, zero where a branch is out of service."""
+        return values if self.status is None else values * self.status
+
+    @property
+    def admittance(self) -> Admittance:
+        """Admittances of the branches, zero where a branch is out of service."""
+        return self.network.admittance if self.status is None else self.network.admittance * self.status
+
+
+class RegularStage:
+    """The quantities of a model at the regular nodes of its horizon, without contingencies."""
+
+    def __init__(self, model: Model) -> None:
+        self.network = model.network
+        self.horizon = model.horizon.regular
+        self.stages = len(self.horizon)
+        self.step = _per_node(self.horizon.hours)
+        self._model = model
+
+    def __getattr__(self, kind: str) -> Quantities:
+        whole = getattr(self._model, kind)
+
+        def get(name: str) -> Any:
+            values = getattr(whole, name) if name in whole else None
+            if values is None or (
+                isinstance(values, np.ndarray) and (values.ndim < 2 or values.shape[1] == 1)
+            ):
+                return values
+            return values[:, np.arange(self.stages)]
+
+        return Quantities(kind, get, lambda: dir(whole))
+
+    def leaves(self, values: Any) -> Any:
+        """Return a quantity at the end of the horizon: at the last node of each scenario."""
+        return values[:, self.horizon.leaves]
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity is published."""
+        return self._model.has(name)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Operating cost of all devices, $/h."""
+        return sum_of_costs(self._model.devices, self)
+
+
+def _status(network: PerUnitNetwork, horizon: Horizon) -> Array | None:
+    """Return 1 for each branch and node, and 0 where the branch is out of service."""
+    branch = network.branch
+    out = [
+        (branch.position[n], node)
+        for node, names in enumerate(horizon.out)
+        for n in names
+        if n in branch.position
+    ]
+    if not out:
+        return None
+    status = np.ones((len(branch), len(horizon)))
+    status[tuple(zip(*out, strict=True))] = 0.0
+    return status
 
 
 def _per_node(values: Array) -> Any:

@@ -11,6 +11,7 @@ from opfmodel.model import CustomConstraint, Model
 from opfmodel.network.series import fields_with_series, widest
 from opfmodel.plan.parts import absent_devices, publishing
 from opfmodel.plan.result import penalty_outputs
+from opfmodel.plan.security import outage_fields
 from opfmodel.plan.shortage import SHORTAGE, limit_shortage
 from opfmodel.plan.shrinking import Shrinking
 from solvers import Expression, Program, Session, SolverError, Sum, prepare
@@ -90,7 +91,11 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         delay=problem.generator_delay,
         reactive=problem.formulation.reactive,
         zones=problem.formulation.zones(problem.arrays),
-        series={*fields_with_series(problem.profiles, problem.arrays), *own},
+        series={
+            *fields_with_series(problem.profiles, problem.arrays),
+            *own,
+            *outage_fields(horizon, problem.arrays),
+        },
         elastic=problem.elastic,
         split_shedding=problem.split_shedding,
         regularisation=problem.regularisation,
@@ -136,7 +141,7 @@ def _minimize(problem: MultiStage, model: Model) -> None:
     parts = []
     for part, weight in weights.items():
         what = f"{part}_cost"
-        cost = getattr(problem.objective, what)(model)
+        cost = getattr(problem.objective, what)(model.stage)
         if isinstance(cost, Expression | Sum):
             model.build.minimize(cost * (share * weight))
             parts.append((part, cost))

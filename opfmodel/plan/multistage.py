@@ -36,6 +36,7 @@ from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
+from opfmodel.plan.security import Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
 from opfmodel.plan.solving import solved
 from solvers import Program, Session
@@ -50,7 +51,8 @@ Fields = dict[tuple[str, str], Array]
 _STATED = frozenset(
     (
         "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "risk", "devices", "at_end", "solver", "options", "verbose",
+        "end", "regularisation", "elastic", "risk", "security", "devices", "at_end", "solver", "options",
+        "verbose",
     )
 )  # fmt: skip
 
@@ -89,6 +91,8 @@ class MultiStage:
         By default every limit is hard.
     risk
         Risk aversion over the scenarios of a tree; by default the expected cost is minimised.
+    security
+        Outages that every stage must survive; see :class:`Security`. None by default.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     at_end
@@ -131,6 +135,7 @@ class MultiStage:
         regularisation: float | None = None,
         elastic: Elastic | None = None,
         risk: Risk | None = None,
+        security: Security | None = None,
         devices: Iterable[Device] = (),
         at_end: AtEnd = "error",
         solver: str = "auto",
@@ -148,6 +153,7 @@ class MultiStage:
             ("end", end, End),
             ("elastic", elastic, Elastic),
             ("risk", risk, Risk),
+            ("security", security, Security),
         ):
             if not (value is None or isinstance(value, kind)):
                 raise ModelError(
@@ -163,6 +169,9 @@ class MultiStage:
         needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive)
         check_memory(f"horizon = {stages:,}", needed)
         self.horizon = self._horizon(horizon, step)
+        self.security = security
+        if security is not None:
+            self.horizon = security.secured(self.horizon, self.arrays)
         self.objective = Economic() if objective is None else objective
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
@@ -346,6 +355,7 @@ class MultiStage:
         """The problem of the expected future alone."""
         chain = self.variant(elastic=self.elastic, horizon=self.horizon.trunk)
         chain.risk = None  # of a single future there is none
+        chain.security = None
         chain.constraints = {}  # they may name nodes; without them it is still a start
         return chain
 

@@ -56,6 +56,9 @@ def at_nodes(futures: Sequence[Array], horizon: Horizon, rule: str = "mean") -> 
 
 def mean_of_futures(fields: Fields, horizon: Horizon) -> dict[tuple[str, str], Array]:
     """Return the expected data at each moment, ``(items, moments)``, from those of the nodes."""
-    share = np.zeros((len(horizon), int(horizon.depth.max()) + 1))
-    share[np.arange(len(horizon)), horizon.depth] = horizon.probability
-    return {key: values @ share for key, values in fields.items()}
+    nodes = horizon.regular
+    moments = [np.flatnonzero(nodes.depth == depth) for depth in range(int(nodes.depth.max()) + 1)]
+    return {  # moment by moment: a limit may be infinite
+        key: np.column_stack([values[:, at] @ nodes.probability[at] for at in moments])
+        for key, values in fields.items()
+    }

@@ -59,11 +59,16 @@ class Plan:
         self.solution = solution
         self.request = request
         self.model = model
-        self.network = network
+        self._whole = network  # with the data of contingencies
+        self.network = network.first(len(request.horizon.regular)) if request.horizon.out else network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
         return f"Plan({self.network.name!r}, from step {self.time}: {self.status}{cost})"
+
+    def with_solution(self, problem: MultiStage, solution: Solution) -> Plan:
+        """Return the same plan with another record of its solution, as the plan of another problem."""
+        return Plan(problem, self.model, solution, self._whole, self.request)
 
     @property
     def time(self) -> int:
@@ -136,15 +141,20 @@ class Plan:
 
     @cached_property
     def horizon(self) -> Horizon:
-        """The nodes in time that the plan covers."""
-        whole, skipped = self.request.horizon, self.solution.skipped
+        """The nodes in time that the plan covers, without contingencies."""
+        whole, skipped = self.request.horizon.regular, self.solution.skipped
         return Horizon.chain(len(whole) - skipped, whole.base) if skipped else whole
+
+    @property
+    def _nodes(self) -> Horizon:
+        """The nodes of the plan with contingencies."""
+        return self.request.horizon if self.request.horizon.out else self.horizon
 
     @cached_property
     def stage(self) -> NumericStage:
         """The published quantities of the plan as numbers in per unit, for evaluating costs."""
         published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
-        return NumericStage(self.network, self.model.step, published, self.model.devices, self.horizon)
+        return NumericStage(self.network, self.model.stage.step, published, self.model.devices, self.horizon)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """Return all published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
@@ -156,7 +166,11 @@ class Plan:
         for injection in self.model.injections:
             power = injection.at_buses(self.solution, self.network)
             values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
-        return self._held(values)
+        return self._held({key: self._regular(array) for key, array in values.items()})
+
+    def _regular(self, values: Array) -> Array:
+        """Return values without those of contingencies, which come last."""
+        return values[:, : len(self.horizon)]
 
     def _held(self, values: dict[tuple[str, str], Array]) -> dict[tuple[str, str], Array]:
         """Return the values if the plan is optimal, else NaN in their place."""
@@ -164,10 +178,11 @@ class Plan:
 
     def exceeded(self) -> dict[tuple[str, str], Array]:
         """Return the limit violations of an elastic plan, p.u., in the form of :meth:`quantities`."""
-        network, stages = self.network, self.stages
+        network = self.network
+        stages = self.stages + self.request.horizon.contingencies.size
         return {
-            (slack.kind, name): slack.spread(
-                self.solution.value(name), len(network.tables[slack.kind]), stages
+            (slack.kind, name): self._regular(
+                slack.spread(self.solution.value(name), len(network.tables[slack.kind]), stages)
             )
             for name, slack in self.model.slacks.items()
             if slack.kind in network.tables and name not in self.model.reported
@@ -190,7 +205,8 @@ class Plan:
         if prices is None or not self.short:
             return ()
         slacks = self.model.slacks.values()
-        return shortages(slacks, shortfall_due(self), self.network, prices, self.horizon, self._moments)
+        times = self.problem.times(self.time, self._nodes)
+        return shortages(slacks, shortfall_due(self), self._whole, prices, self._nodes, times)
 
     @property
     def penalty(self) -> float:
@@ -301,7 +317,8 @@ class Plan:
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        return self.model.prices[name].values(self.solution, self.network, self.horizon)
+        values = self.model.prices[name].values(self.solution, self._whole, self._nodes)
+        return self._regular(values)
 
     def prices(self) -> dict[tuple[str, str], Array]:
         """Return all shadow prices by ``(kind, name)``; see :meth:`price`."""

@@ -98,4 +98,4 @@ def _with_effort(problem: MultiStage, plan: Plan, others: list[Plan], note: str 
         seconds=sum(s.seconds for s in solutions),
         message="; ".join(text for text in (plan.solution.message, note) if text),
     )
-    return Plan(problem, plan.model, solution, plan.network, plan.request)
+    return plan.with_solution(problem, solution)

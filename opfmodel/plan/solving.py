@@ -18,6 +18,7 @@ from opfmodel.plan.nodes import at_nodes, mean_of_futures
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
+from opfmodel.plan.security import at_contingencies
 from opfmodel.plan.start import lifted, moved
 from solvers import Kind, Program, Start, classify
 
@@ -52,10 +53,12 @@ def solved(
     horizon = problem.horizon_from(time)
     begin = problem.stages - len(horizon)
     series = {**problem.ahead(time), **(request.expected or {})}
+    if problem.security is not None:
+        series = at_contingencies(series, horizon, problem.arrays, problem.security.rating)
     network = problem.arrays.with_series(series)
     numbers = _numbers(problem, compiled, network, series, begin)
     if model.horizon.varying:
-        numbers.parameters["probability"] = request.horizon.probability
+        numbers.parameters["probability"] = request.horizon.regular.probability
     for state in model.states.values():
         table = network.tables[state.kind]
         if initial is not None and state.name in initial:
@@ -70,10 +73,11 @@ def solved(
     for constraint in problem.constraints.values():
         if constraint.limited:
             low, high = constraint.window(time, horizon.steps, problem.at_end == "repeat")
+            nodes = horizon.regular
             numbers.limit(
                 constraint.rows,
-                at_nodes([low[None, :]], horizon, "max"),
-                at_nodes([high[None, :]], horizon, "min"),
+                at_nodes([low[None, :]], nodes, "max"),
+                at_nodes([high[None, :]], nodes, "min"),
             )
     for name, (lower, upper) in (limits or {}).items():
         numbers.limit(name, lower, upper)
@@ -164,8 +168,9 @@ def _from_expected(
         for kind, field in model.series
         for values in (network.tables[kind].arrays[field],)
     }
-    mean = mean_of_futures(known, request.horizon)
     chain = problem.expected_problem
+    mean = mean_of_futures(known, request.horizon)
+    mean = {key: values for key, values in mean.items() if key in chain.model.series}
     plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
     start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
     return start, plan.solution.seconds

@@ -31,7 +31,7 @@ def moved(solution: Solution, before: Horizon, after: Horizon, steps: int) -> St
         return solution.start()
     source = after.moved(steps) if steps else np.arange(len(after))
     measured = after.parent[source[after.roots[0]]]  # whose end is now the measured state
-    factor = after.weights / before.weights[source]
+    factor = after.influence / before.influence[source]
 
     def columns(block: Block | Cone) -> Index:
         nodes = after.columns(block.stages)

@@ -22,7 +22,7 @@ from opfmodel.network.network import Network
 from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
-from opfmodel.plan import End, MultiStage, Risk
+from opfmodel.plan import End, MultiStage, Risk, Security
 from opfmodel.scenario.constraints import check_constraints, read_constraints
 from opfmodel.scenario.declarations import Declarations
 from opfmodel.scenario.document import Document, check_name, read_document, validated
@@ -198,6 +198,9 @@ class _Reader:
         averse = None
         with faults, document.located("controller", "scenarios", "risk"):
             averse = None if risk is None else Risk(**risk.model_dump())
+        secure = None
+        with faults, document.located("controller", "security"):
+            secure = None if controller.security is None else Security(**controller.security.model_dump())
         sound = not faults
         try:
             with document.located("controller"):
@@ -217,6 +220,7 @@ class _Reader:
                     if controller.limits == "soft"
                     else None,
                     risk=averse,
+                    security=secure,
                     solver=solver.name,
                     options=solver.options,
                 )

@@ -16,6 +16,7 @@ from opfmodel.model import Elastic
 from opfmodel.network.bounds import STEP_HOURS
 from opfmodel.network.quantities import CURRENCY, Basis, In, currency_fault
 from opfmodel.plan.extent import AtEnd
+from opfmodel.plan.security import Security
 from opfmodel.scenario.overlay import Choice, Inside
 from opfmodel.simulation import OnInfeasible
 
@@ -213,6 +214,24 @@ class ScenariosSection(Section):
     )
 
 
+class ContingenciesSection(Section):
+    branches: list[str] = Field(default_factory=list, description="names or patterns of branches")
+    generators: list[str] = Field(default_factory=list, description="names or patterns of generators")
+    storages: list[str] = Field(default_factory=list, description="names or patterns of storages")
+
+
+class SecuritySection(Section):
+    contingencies: Literal["all"] | ContingenciesSection = Field(
+        "all", description="`all`: every branch whose outage does not split the grid; or a mapping"
+    )
+    minutes: Annotated[float, In("min")] = Field(
+        Security.minutes, description="time for the response to an outage"
+    )
+    rating: float = Field(
+        Security.rating, description="multiple of the rating of a branch that applies after an outage"
+    )
+
+
 class ControllerSection(Section):
     horizon: Annotated[int, Field(ge=1)] | HorizonSection = Field(
         1, description="stages of a plan, at least 1; or a mapping with `hours`"
@@ -220,6 +239,7 @@ class ControllerSection(Section):
     scenarios: Annotated[ScenariosSection | None, _BY_SOURCE] = Field(
         None, description="futures that plans take into account"
     )
+    security: SecuritySection | None = Field(None, description="outages that plans must survive")
     formulation: Annotated[str, Of("formulation")] = Field(
         "ac", description="equations of the grid in the plans"
     )

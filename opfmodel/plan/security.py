@@ -1,0 +1,165 @@
+"""Security: plans that survive the outage of any one component."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import SecurityError, nearest
+from opfmodel.horizon import Horizon
+from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.bounds import number_within
+from opfmodel.network.network import name_pattern
+
+__all__ = ["Security", "at_contingencies", "outage_fields", "splitting"]
+
+Array = npt.NDArray[np.float64]
+Fields = dict[tuple[str, str], Array]
+
+KINDS = {"branches": "branch", "generators": "generator", "storages": "storage"}
+
+_FREE = 4 * np.pi  # rad; no angle difference is limited to it
+# What a component that is out of service is limited to.
+_OUT: Mapping[str, Mapping[str, float]] = {
+    "branch": {"angle_min": -_FREE, "angle_max": _FREE},
+    "generator": {"p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
+    "storage": {"power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
+}
+
+
+@dataclass(frozen=True)
+class Security:
+    r"""N-1 security: after the outage of any one component at the end of any stage, the grid has a state.
+
+    The response is corrective: within ``minutes``, units move by at most their ramp, storages act within
+    power and energy, and voltages are free within their limits. Source: F. Capitanescu et al.,
+    "State-of-the-art, challenges, and future trends in security constrained optimal power flow", Electric
+    Power Systems Research 81(8), 2011.
+
+    Parameters
+    ----------
+    contingencies
+        ``all``: every branch whose outage does not split the grid; or the names of components, or patterns
+        with stars, by ``branches``, ``generators`` and ``storages``. Patterns leave out branches whose outage
+        splits the grid.
+    minutes
+        Time for the response.
+    rating
+        Multiple of the rating of a branch that applies after an outage.
+    """
+
+    contingencies: Literal["all"] | Mapping[str, Sequence[str]] = "all"
+    minutes: float = 15.0
+    rating: float = 1.0
+
+    def __post_init__(self) -> None:
+        number_within("security: minutes", self.minutes, above=0, error=SecurityError)
+        number_within("security: rating", self.rating, above=0, error=SecurityError)
+
+    def outages(self, network: PerUnitNetwork) -> list[str]:
+        """Return the names of the components that may go out, one at a time.
+
+        Raises
+        ------
+        SecurityError
+            A name is unknown, or the outage of a branch that was asked for splits the grid.
+        """
+        bridges = splitting(network)
+        if self.contingencies == "all":
+            return [name for name in network.branch.names if name not in bridges]
+        return list(dict.fromkeys(self._named(network, bridges)))
+
+    def _named(self, network: PerUnitNetwork, bridges: Mapping[str, float]) -> Iterator[str]:
+        assert not isinstance(self.contingencies, str)
+        for key, names in self.contingencies.items():
+            place = ("security", "contingencies", key)
+            if key not in KINDS:
+                raise SecurityError(f"contingencies: {key!r}: {nearest(key, KINDS)}", *place)
+            table = network.tables[KINDS[key]]
+            for name in names:
+                matched = [known for known in table.names if name_pattern(name).fullmatch(known)]
+                if "*" in name and matched:
+                    yield from (known for known in matched if known not in bridges)
+                    continue
+                if name not in table.position:
+                    raise SecurityError(
+                        f"{name!r}: no {table.kind.kind} in service has this name; "
+                        f"{nearest(name, table.names)}",
+                        *place,
+                    )
+                if name in bridges:
+                    raise SecurityError(
+                        f"{name!r}: its outage splits the grid and cuts off {bridges[name]:.4g} MW of demand",
+                        *place,
+                    )
+                yield name
+
+    def secured(self, horizon: Horizon, network: PerUnitNetwork) -> Horizon:
+        """Return a horizon with a contingency after every node for every outage."""
+        names = self.outages(network)
+        nodes = range(len(horizon.regular))
+        return horizon.with_contingencies([(node, (name,)) for node in nodes for name in names], self.minutes)
+
+
+def splitting(network: PerUnitNetwork) -> dict[str, float]:
+    """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW.
+
+    That of the part of the island without the reference bus.
+    """
+    branch = network.branch
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(network.bus)))
+    ends = list(zip(branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True))
+    graph.add_edges_from(ends)
+    pairs = [frozenset(pair) for pair in ends]
+    demand = network.at_buses("load", network.load.p).max(axis=1) * network.base_mva
+    made = {}
+    for bridge in list(nx.bridges(graph)):
+        of = [number for number, pair in enumerate(pairs) if pair == frozenset(bridge)]
+        if len(of) > 1:
+            continue  # circuits in parallel
+        graph.remove_edge(*bridge)
+        parts = [nx.node_connected_component(graph, bus) for bus in bridge]
+        cut = next((part for part in parts if not part & set(network.reference.tolist())), parts[-1])
+        graph.add_edge(*bridge)
+        made[branch.names[of[0]]] = float(demand[list(cut)].sum())
+    return made
+
+
+def outage_fields(horizon: Horizon, network: PerUnitNetwork) -> list[tuple[str, str]]:
+    """Return the fields that change in contingencies, by ``(kind, field)``."""
+    if not horizon.contingencies.size:
+        return []
+    out = {name for names in horizon.out for name in names}
+    kinds = [kind for kind in _OUT if out & set(network.tables[kind].names)]
+    return [("branch", "rating"), *((kind, field) for kind in kinds for field in _OUT[kind])]
+
+
+def at_contingencies(
+    series: Mapping[tuple[str, str], Array], horizon: Horizon, network: PerUnitNetwork, rating: float
+) -> Fields:
+    """Return series at the nodes with the fields that change in contingencies.
+
+    Parameters
+    ----------
+    rating
+        Multiple of the ratings after an outage.
+    """
+    made = dict(series)
+    for kind, field in outage_fields(horizon, network):
+        table = network.tables[kind]
+        values = series.get((kind, field), table.arrays[field])
+        values = np.array(np.broadcast_to(values, (len(table), len(horizon))))
+        if field == "rating":
+            values[:, horizon.contingencies] *= rating
+        for node in horizon.contingencies:
+            for name in horizon.out[node]:
+                if field in _OUT[kind] and name in table.position:
+                    values[table.position[name], node] = _OUT[kind][field]
+        made[kind, field] = values
+    return made

@@ -1,0 +1,271 @@
+"""Plans that survive the outage of any one component."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import extensive
+import numpy as np
+import pytest
+
+import opfmodel as om
+from opfmodel.errors import ScenarioError, SecurityError
+from opfmodel.plan.security import splitting
+
+ENERGY = {"cell": 60.0, "tank": 10.0}
+BEFORE = {"coal": (80.0, 20.0), "gas": (60.0, 15.0)}
+SHARES = {"low": 0.4, "high": 0.6}
+# Multiples of the ratings after an outage, with which outages bind.
+TIGHT = {"chain": 1.15, "uneven": 1.0, "tree": 1.15}
+
+
+def grid() -> om.Network:
+    """A triangle with two units, two storages and a radial line."""
+    made = om.Network("triangle", base_mva=100)
+    for name in ("a", "b", "c", "d"):
+        made.add(name, om.Bus(vm=(0.92, 1.08), reference=name == "a"))
+    made.add("ab", om.Branch("a", "b", r=0.01, x=0.05, b=0.02, rating=95))
+    made.add("bc", om.Branch("b", "c", r=0.02, x=0.06, rating=80))
+    made.add("ac", om.Branch("a", "c", r=0.015, x=0.07, rating=85))
+    made.add("cd", om.Branch("c", "d", r=0.01, x=0.04, rating=60))
+    made.add("coal", om.Generator("a", p=(0, 190), q=(-90, 90), ramp=60, cost=om.Polynomial(0.02, 14, 5)))
+    made.add("gas", om.Generator("c", p=(0, 120), q=(-70, 70), ramp=100, cost=om.Polynomial(0.05, 32, 0)))
+    made.add("cell", om.Storage("b", energy=120, power=30, q=10))
+    made.add("tank", om.Storage("c", energy=20, power=8, q=4))
+    made.add("town", om.Load("b", p=70, q=20))
+    made.add("mill", om.Load("c", p=55, q=15))
+    made.add("farm", om.Load("d", p=12, q=3))
+    return made
+
+
+def demand(steps: int, factor: float = 1.0) -> om.Profiles:
+    shape = factor * (1.0 + 0.15 * np.sin(0.9 * np.arange(steps)))
+    loads = grid().of(om.Load)
+    return om.Profiles(
+        {f"{n}.{key}": value * shape for n, d in loads.items() for key, value in (("p", d.p), ("q", d.q))}
+    )
+
+
+def solved(
+    horizon: om.Horizon,
+    security: om.Security | None,
+    formulation: str = "ac",
+    delay: int = 0,
+    series: Iterable[om.Profiles] = (),
+    **options: object,
+) -> om.Plan:
+    problem = om.MultiStage(
+        grid(),
+        horizon,
+        formulation=formulation,
+        generator_delay=delay,
+        profiles=demand(horizon.steps),
+        solver="ipopt",
+        options={"tol": 1e-10},
+        regularisation=0.0,
+        security=security,
+        **options,
+    )
+    initial = {"e": list(ENERGY.values()), "pg": [pg for pg, _ in BEFORE.values()]}
+    if delay == 1 and formulation != "dc":
+        initial["qg"] = [qg for _, qg in BEFORE.values()]
+    given = list(series) or [demand(horizon.steps)]
+    return problem.solve(initial=initial, expected=problem.expected(given))
+
+
+def nodes(
+    horizon: om.Horizon, series: list[om.Profiles], out: list[str], minutes: float, rating: float
+) -> list[extensive.Node]:
+    """The nodes of a horizon and the outages after each of them, for the extensive form."""
+    made = []
+    for k in range(len(horizon)):
+        own = series[horizon.series[k] if len(series) > 1 else 0]
+        first = horizon.step[k]
+        last = first + round(horizon.hours[k] / horizon.base)
+        power = {
+            n: tuple(float(own[f"{n}.{key}"][first:last].mean()) for key in "pq") for n in grid().of(om.Load)
+        }
+        hours, probability = float(horizon.hours[k]), float(horizon.probability[k])
+        made.append(extensive.Node(int(horizon.parent[k]), hours, probability, power))
+    after = [
+        replace(node, parent=k, hours=minutes / 60, probability=0.0, out=name, rating=rating)
+        for k, node in enumerate(made)
+        for name in out
+    ]
+    return [*made, *after]
+
+
+HORIZONS = {
+    "chain": om.Horizon.chain(3),
+    "uneven": om.Horizon.grid([0.5, 1, 2]),
+    "tree": om.Horizon.tree([1, 1, 2], SHARES, common=1),
+}
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+@pytest.mark.parametrize("which", HORIZONS)
+def test_a_secure_plan_agrees_with_the_extensive_form(which: str, formulation: str, delay: int) -> None:
+    horizon = HORIZONS[which]
+    series = [demand(horizon.steps, 0.95), demand(horizon.steps, 1.1)] if which == "tree" else []
+    security = om.Security(minutes=30, rating=TIGHT[which])
+    plan = solved(horizon, security, formulation, delay, series)
+    assert plan.optimal, plan.termination
+    stated = nodes(horizon, series or [demand(horizon.steps)], ["ab", "bc", "ac"], 30, TIGHT[which])
+    reference = extensive.solve(grid(), stated, ENERGY, formulation, dispatch=BEFORE, delay=delay)
+    assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
+    free = solved(horizon, None, formulation, delay, series)
+    assert plan.objective > free.objective + 1.0  # security binds
+
+
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_outages_of_units_and_storages_agree_with_the_extensive_form(formulation: str) -> None:
+    horizon, out = HORIZONS["chain"], {"generators": ["gas"], "storages": ["cell"], "branches": ["bc"]}
+    security = om.Security(out, minutes=20, rating=1.3)
+    plan = solved(horizon, security, formulation)
+    stated = nodes(horizon, [demand(3)], ["gas", "cell", "bc"], 20, 1.3)
+    reference = extensive.solve(grid(), stated, ENERGY, formulation, dispatch=BEFORE)
+    assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
+    assert plan.objective > solved(horizon, None, formulation).objective + 1.0
+
+
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "dc", "dc-losses", "dc-matpower", "soc"])
+def test_with_wide_limits_security_changes_nothing(formulation: str) -> None:
+    loose = om.Security(minutes=60, rating=10)
+    plan = solved(om.Horizon.chain(2), loose, formulation)
+    free = solved(om.Horizon.chain(2), None, formulation)
+    assert plan.objective == pytest.approx(free.objective, rel=1e-7)
+    for name in ("pg", "ps", "lmp", "pf"):
+        assert plan.data[name].values == pytest.approx(free.data[name].values, abs=0.02)
+    assert plan.data.sizes == free.data.sizes
+    assert plan.scenario_costs == pytest.approx(free.scenario_costs, rel=1e-7)
+
+
+def test_the_price_of_demand_includes_the_cost_of_security() -> None:
+    security = om.Security(minutes=30, rating=1.15)
+    horizon = om.Horizon.chain(3)
+    plan = solved(horizon, security)
+    for bus, load in (("b", "town"), ("d", "farm")):
+        changed = []
+        for change in (-0.05, 0.05):
+            series = dict(demand(3))
+            key = next(k for k in series if str(k) == f"{load}.p")
+            series[key] = series[key] + np.array([0.0, change, 0.0])
+            changed.append(solved(horizon, security, series=[om.Profiles(series)]).objective)
+        price = (changed[1] - changed[0]) / 0.1
+        assert plan.data["lmp"].sel(bus=bus).values[1] == pytest.approx(price, rel=1e-3)
+    free = solved(horizon, None).data["lmp"].sel(bus="d").values
+    assert np.abs(plan.data["lmp"].sel(bus="d").values - free).max() > 1.0
+
+
+def test_a_warm_start_moves_contingencies_with_their_stages() -> None:
+    security = om.Security(minutes=30, rating=1.15)
+    problem = om.MultiStage(grid(), 4, profiles=demand(8), security=security)
+    state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
+    first = problem.solve(initial=state)
+    after = first.next_state()
+    cold, warm = problem.solve(1, after), problem.solve(1, after, first)
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-6)
+    assert warm.solution.iterations < 0.7 * cold.solution.iterations
+    horizon = problem.horizon
+    source = horizon.moved(1)
+    for node in horizon.contingencies:
+        assert horizon.out[source[node]] == horizon.out[node]
+        assert horizon.owner[source[node]] == min(horizon.owner[node] + 1, 2 + (horizon.owner[node] == 3))
+
+
+def test_an_objective_and_constraints_see_regular_stages_alone() -> None:
+    security = om.Security(minutes=30, rating=1.15)
+    seen = {}
+
+    def reserve(stage: om.Stage) -> object:
+        seen["stages"] = stage.generator.pg.stages
+        return om.total(stage.generator.pg) - 0.0 * om.total(stage.bus.vm)
+
+    problem = om.MultiStage(grid(), 3, profiles=demand(3), security=security)
+    problem.constrain("reserve", reserve, at_least=[160.0, 0.0, 0.0])
+    plan = problem.solve(initial={"e": list(ENERGY.values())})
+    assert seen["stages"] == 3
+    assert plan.data["pg"].sum("generator").values[0] == pytest.approx(160, abs=1e-3)
+    assert plan.data["reserve_price"].values[0] > 1.0
+    assert plan.data["reserve_price"].values[1:] == pytest.approx([0.0, 0.0], abs=1e-4)
+
+
+# Where there is no secure plan ------------------------------------------------------------------------
+
+
+def test_what_is_lacking_is_said_with_the_outage() -> None:
+    problem = om.MultiStage(
+        grid(), 3, profiles=demand(3), security=om.Security({"branches": ["ab"]}, minutes=5, rating=0.8)
+    )
+    state = {"e": [0.0, 0.0], "pg": [140.0, 10.0]}
+    assert not problem.solve(initial=state).optimal
+    plan = problem.elastic_twin().solve(initial=state)
+    assert plan.shortages
+    assert all("after the outage of ab" in str(shortage) for shortage in plan.shortages)
+    assert plan.data["p_unserved"].values.max() < 1e-6  # no real load is shed
+
+
+@pytest.mark.parametrize(
+    ("contingencies", "message"),
+    [
+        ({"branches": ["abc"]}, "'abc': no branch in service has this name; did you mean"),
+        ({"branches": ["cd"]}, "'cd': its outage splits the grid and cuts off 12 MW of demand"),
+        ({"lines": ["ab"]}, "contingencies: 'lines': available: branches, generators, storages"),
+    ],
+)
+def test_contingencies_that_do_not_fit(contingencies: dict[str, list[str]], message: str) -> None:
+    with pytest.raises(SecurityError, match=message):
+        om.MultiStage(grid(), 2, security=om.Security(contingencies))
+
+
+@pytest.mark.parametrize("value", [{"minutes": 0}, {"rating": -1}, {"rating": np.nan}])
+def test_numbers_that_make_no_sense(value: dict[str, float]) -> None:
+    with pytest.raises(om.OpfmodelError, match=f"security: {next(iter(value))}"):
+        om.Security(**value)
+
+
+def test_bridges_and_circuits_in_parallel() -> None:
+    made = grid()
+    assert splitting(om.MultiStage(made).arrays) == {"cd": 12.0}
+    made.add("cd2", om.Branch("c", "d", r=0.01, x=0.04, rating=60))
+    assert splitting(om.MultiStage(made).arrays) == {}
+    plan = om.MultiStage(made, security=om.Security(rating=3)).solve()
+    assert plan.optimal
+
+
+# Scenario files -----------------------------------------------------------------------------------------
+
+CASE5 = "scenarios/case5-step.yaml"
+SHORT = {"time.steps": 2, "controller.horizon": 2, "controller.generator_delay": 0}
+
+
+def test_security_is_a_key_of_a_scenario() -> None:
+    stated = {"contingencies": {"branches": ["1-*"], "storages": ["cell1"]}, "minutes": "1 h", "rating": 2}
+    made = om.load_scenario(CASE5, overrides={**SHORT, "controller.security": stated})
+    horizon = made.problem.horizon
+    assert horizon.out[2:6] == (("1-2",), ("1-4",), ("1-5",), ("cell1",))
+    assert horizon.hours.tolist() == [1.0] * 10
+    run = made.simulate()
+    assert run.status == "done"
+    assert run.data.sizes["time"] == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        (
+            "contingencies",
+            {"branches": ["1-7"]},
+            "contingencies.branches: '1-7': no branch .* did you mean '1-",
+        ),
+        ("contingencies", {"lines": ["1-2"]}, "unknown key; available: branches, generators, storages"),
+        ("contingencies", "none", "'none': must be 'all'"),
+        ("minutes", 0, "security: minutes = 0.0: must be a finite number, above 0"),
+        ("minutes", "2 MW", "minutes"),
+    ],
+)
+def test_errors_in_a_scenario(key: str, value: object, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        om.load_scenario(CASE5, overrides={**SHORT, "controller.security": {key: value}})
