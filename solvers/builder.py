@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -70,6 +70,11 @@ class ProgramBuilder:
         self._data: dict[str, Block] = {}
 
     # Blocks ------------------------------------------------------------------------------
+
+    @property
+    def variables(self) -> Mapping[str, Block]:
+        """Blocks of variables declared so far, by name."""
+        return self._variables
 
     def variable(
         self,

@@ -15,7 +15,8 @@ import opfmodel as om
 class Node:
     """A node of a tree: its parent, length, probability, and the demand by load in MW and MVAr.
 
-    After an outage, ``out`` is the component that is lost, and ratings are multiplied by ``rating``.
+    After an outage, ``out`` is the component that is lost, and ratings are multiplied by ``rating``. With
+    ``held``, shares of the units in the slack, the response is preventive.
     """
 
     parent: int
@@ -24,6 +25,7 @@ class Node:
     demand: dict[str, tuple[float, float]]
     out: str = ""
     rating: float = 1.0
+    held: dict[str, float] | None = None
 
 
 def solve(
@@ -89,7 +91,8 @@ class _Problem:
             on = 0.0 if name == self.nodes[k].out else 1.0 / base
             of["ps"][name] = self.variable(-on * cell.power, on * cell.power)
             of["qs"][name] = self.variable(-on * cell.q, on * cell.q) if reactive else 0.0
-            of["e"][name] = self.variable(0.0, cell.energy / base, 0.5 * cell.energy / base)
+            if self.nodes[k].held is None:
+                of["e"][name] = self.variable(0.0, cell.energy / base, 0.5 * cell.energy / base)
         p = dict.fromkeys(self.buses, 0.0)
         q = dict.fromkeys(self.buses, 0.0)
         for name, unit in self.units.items():
@@ -103,28 +106,30 @@ class _Problem:
             p[load.bus] -= demand[0] / base
             q[load.bus] -= demand[1] / base
         self.now = self.nodes[k]
-        getattr(self, f"flows_{self.formulation}")(p, q)
+        of["voltage"] = getattr(self, f"flows_{self.formulation}")(p, q)
         for bus in self.buses:
             self.balance[bus, k] = self.row(p[bus])
             if reactive:
                 self.row(q[bus])
         return of
 
-    def flows_ac(self, p: dict[str, Any], q: dict[str, Any]) -> None:
+    def flows_ac(self, p: dict[str, Any], q: dict[str, Any]) -> dict[str, Any]:
         vm = {name: self.variable(*bus.vm, 1.0) for name, bus in self.buses.items()}
         va = {n: self.variable(0.0, 0.0) if b.reference else self.variable() for n, b in self.buses.items()}
         for branch in self.in_service():
             f, t = branch.from_bus, branch.to_bus
             real, imaginary = (vm[f] * vm[t] * turn(va[f] - va[t]) for turn in (ca.cos, ca.sin))
             self.branch(branch, p, q, vm[f] ** 2, vm[t] ** 2, real, imaginary)
+        return vm
 
-    def flows_soc(self, p: dict[str, Any], q: dict[str, Any]) -> None:
+    def flows_soc(self, p: dict[str, Any], q: dict[str, Any]) -> dict[str, Any]:
         w = {n: self.variable(b.vm[0] ** 2, b.vm[1] ** 2, 1.0) for n, b in self.buses.items()}
         for branch in self.in_service():
             f, t = branch.from_bus, branch.to_bus
             real, imaginary = self.variable(start=1.0), self.variable()
             self.row(real**2 + imaginary**2 - w[f] * w[t], -np.inf, 0.0)
             self.branch(branch, p, q, w[f], w[t], real, imaginary)
+        return w
 
     def branch(self, branch: om.Branch, p: Any, q: Any, ff: Any, tt: Any, real: Any, imaginary: Any) -> None:
         """Power into both ends of a line without taps, from the products of its voltages."""
@@ -159,32 +164,59 @@ class _Problem:
         shared: dict[int, int] = {}
         for k, node in enumerate(self.nodes):
             at, before = self.stages[k], None if node.parent < 0 else self.stages[node.parent]
+            if node.held is not None:
+                self.hold(node, at, before)
+                continue
             for name in self.cells:
                 start = energy[name] / self.base if before is None else before["e"][name]
                 self.row(at["e"][name] - start - node.hours * at["ps"][name])
-            hours = node.hours
-            if before is not None and not node.out:
-                hours = 0.5 * (node.hours + self.nodes[node.parent].hours)
-            for name, unit in self.units.items():
-                if name == node.out:
-                    continue
-                if before is not None:
-                    most = unit.ramp * hours / self.base
-                    self.row(at["pg"][name] - before["pg"][name], -most, most)
-                elif dispatch is not None and delay == 0:
-                    most = unit.ramp * hours / self.base
-                    self.row(at["pg"][name] - dispatch[name][0] / self.base, -most, most)
-                elif dispatch is not None:
-                    self.row(at["pg"][name] - dispatch[name][0] / self.base)
-                    if self.formulation != "dc":
-                        self.row(at["qg"][name] - dispatch[name][1] / self.base)
-                if delay == 1 and node.parent in shared and not node.out:
-                    eldest = self.stages[shared[node.parent]]
-                    self.row(at["pg"][name] - eldest["pg"][name])
-                    if self.formulation != "dc":
-                        self.row(at["qg"][name] - eldest["qg"][name])
-            if not node.out:
+            self.ramps(node, at, before, dispatch if delay == 0 else None)
+            if delay == 1 and dispatch is not None and before is None:
+                given = [
+                    {name: value / self.base for name, value in zip(dispatch, side, strict=True)}
+                    for side in zip(*dispatch.values(), strict=True)
+                ]
+                self.same(at, {"pg": given[0], "qg": given[1]})
+            if delay == 1 and not node.out:
+                if node.parent in shared:
+                    self.same(at, self.stages[shared[node.parent]])
                 shared.setdefault(node.parent, k)
+
+    def ramps(
+        self, node: Node, at: Any, before: Any, dispatch: dict[str, tuple[float, float]] | None
+    ) -> None:
+        """Units move by their ramp from the node before, or from the dispatch before the first one."""
+        hours = node.hours
+        if before is not None and not node.out:
+            hours = 0.5 * (node.hours + self.nodes[node.parent].hours)
+        for name, unit in self.units.items():
+            most = unit.ramp * hours / self.base
+            if before is not None and name != node.out:
+                self.row(at["pg"][name] - before["pg"][name], -most, most)
+            elif before is None and dispatch is not None:
+                self.row(at["pg"][name] - dispatch[name][0] / self.base, -most, most)
+
+    def same(self, at: dict[str, Any], other: dict[str, Any]) -> None:
+        """Two nodes have the same dispatch."""
+        for name in self.units:
+            self.row(at["pg"][name] - other["pg"][name])
+            if self.formulation != "dc":
+                self.row(at["qg"][name] - other["qg"][name])
+
+    def hold(self, node: Node, at: dict[str, Any], before: dict[str, Any]) -> None:
+        """After an outage, units share a slack, and storages and voltages stay."""
+        kept = {name: share for name, share in node.held.items() if name != node.out}
+        slack = self.variable()
+        for name, share in kept.items():
+            self.row(at["pg"][name] - before["pg"][name] - share / sum(kept.values()) * slack)
+        for name in self.cells:
+            if name != node.out:
+                self.row(at["ps"][name] - before["ps"][name])
+                if self.formulation != "dc":
+                    self.row(at["qs"][name] - before["qs"][name])
+        if self.formulation != "dc":
+            for bus in {self.units[name].bus for name in kept}:
+                self.row(at["voltage"][bus] - before["voltage"][bus])
 
     def cost(self, k: int) -> Any:
         """Cost of a node, $/h."""

@@ -119,6 +119,27 @@ def test_a_secure_plan_agrees_with_the_extensive_form(which: str, formulation: s
     assert plan.objective > free.objective + 1.0  # security binds
 
 
+@pytest.mark.parametrize("participation", [None, {"coal": 1.0, "gas": 3.0}])
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_a_preventive_plan_agrees_with_the_extensive_form(
+    formulation: str, participation: dict[str, float] | None
+) -> None:
+    horizon, out = HORIZONS["tree"], {"branches": ["ab", "bc", "ac"], "storages": ["tank"]}
+    series = [demand(horizon.steps, 0.95), demand(horizon.steps, 1.02)]
+    security = om.Security(out, "preventive", rating=1.3, participation=participation)
+    plan = solved(horizon, security, formulation, series=series)
+    assert plan.optimal, plan.termination
+    shares = participation or {"coal": 190.0, "gas": 120.0}
+    stated = [
+        replace(node, held=shares) if node.out else node
+        for node in nodes(horizon, series, ["ab", "bc", "ac", "tank"], 15, 1.3)
+    ]
+    reference = extensive.solve(grid(), stated, ENERGY, formulation, dispatch=BEFORE)
+    assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
+    corrective = solved(horizon, om.Security(out, minutes=60, rating=1.3), formulation, series=series)
+    assert plan.objective > corrective.objective + 1.0
+
+
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 def test_outages_of_units_and_storages_agree_with_the_extensive_form(formulation: str) -> None:
     horizon, out = HORIZONS["chain"], {"generators": ["gas"], "storages": ["cell"], "branches": ["bc"]}

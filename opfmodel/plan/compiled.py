@@ -94,7 +94,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         series={
             *fields_with_series(problem.profiles, problem.arrays),
             *own,
-            *outage_fields(horizon, problem.arrays),
+            *outage_fields(problem.security, horizon, problem.arrays),
         },
         elastic=problem.elastic,
         split_shedding=problem.split_shedding,
@@ -107,6 +107,8 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
     if not all(map(model.has, problem.objective.needs)):
         for device in absent_devices(problem.arrays):
             model.connect(device)
+    if problem.security is not None:
+        problem.security.hold(model)
     return model
 
 

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.devices.held import divide
 from opfmodel.errors import SecurityError, nearest
 from opfmodel.horizon import Horizon
-from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.model import Model
+from opfmodel.network.arrays import Index, PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.network import name_pattern
+from opfmodel.plan.set_points import participation_of
+from solvers import Expression
 
 __all__ = ["Security", "at_contingencies", "outage_fields", "splitting"]
 
@@ -30,16 +34,31 @@ _OUT: Mapping[str, Mapping[str, float]] = {
     "generator": {"p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
     "storage": {"power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
 }
+# A preventive response takes no time: neither ramps nor energy limit it.
+_HELD: Mapping[tuple[str, str], float] = {
+    ("generator", "ramp"): np.inf,
+    ("storage", "energy_min"): -np.inf,
+    ("storage", "energy"): np.inf,
+}
+
+Response = Literal["corrective", "preventive"]
 
 
 @dataclass(frozen=True)
 class Security:
     r"""N-1 security: after the outage of any one component at the end of any stage, the grid has a state.
 
-    The response is corrective: within ``minutes``, units move by at most their ramp, storages act within
-    power and energy, and voltages are free within their limits. Source: F. Capitanescu et al.,
-    "State-of-the-art, challenges, and future trends in security constrained optimal power flow", Electric
-    Power Systems Research 81(8), 2011.
+    With a corrective response, units move within ``minutes`` by at most their ramp, storages act within
+    power and energy, and voltages are free within their limits. With a preventive one nothing is
+    dispatched anew:
+
+    .. math::
+        p^g = \hat p^g + \gamma s, \quad p^s = \hat p^s, \quad q^s = \hat q^s, \quad
+        v = \hat v \text{ at the buses of generators}
+
+    with the participation :math:`\gamma` of the units that are left and a slack s per island; reactive power
+    and flows follow. Source: F. Capitanescu et al., "State-of-the-art, challenges, and future trends in
+    security constrained optimal power flow", Electric Power Systems Research 81(8), 2011.
 
     Parameters
     ----------
@@ -47,17 +66,28 @@ class Security:
         ``all``: every branch whose outage does not split the grid; or the names of components, or patterns
         with stars, by ``branches``, ``generators`` and ``storages``. Patterns leave out branches whose outage
         splits the grid.
+    response
+        ``corrective`` or ``preventive``.
     minutes
-        Time for the response.
+        Time for a corrective response.
+    participation
+        Weight of each unit in the slack of a preventive response, by name; others do not participate. By
+        default ``Generator.participation``, or the capacity.
     rating
         Multiple of the rating of a branch that applies after an outage.
     """
 
     contingencies: Literal["all"] | Mapping[str, Sequence[str]] = "all"
+    response: Response = "corrective"
     minutes: float = 15.0
+    participation: Mapping[str, float] | None = None
     rating: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.response not in get_args(Response):
+            raise SecurityError(f"security: response = {self.response!r}: must be corrective or preventive")
+        if self.participation is not None and self.response == "corrective":
+            raise SecurityError("security: participation: applies to a preventive response only")
         number_within("security: minutes", self.minutes, above=0, error=SecurityError)
         number_within("security: rating", self.rating, above=0, error=SecurityError)
 
@@ -105,6 +135,56 @@ class Security:
         nodes = range(len(horizon.regular))
         return horizon.with_contingencies([(node, (name,)) for node in nodes for name in names], self.minutes)
 
+    def hold(self, model: Model) -> None:
+        """State in a model what a preventive response leaves as it was before the outage."""
+        if self.response == "corrective" or not model.horizon.contingencies.size:
+            return
+        for number, (lost, nodes) in enumerate(_alike(model.horizon, model.network)):
+            self._hold(model, lost, nodes, f"held {number}")
+
+    def _hold(self, model: Model, lost: frozenset[str], nodes: Index, what: str) -> None:
+        """Hold the state of contingencies in which the same units and storages are lost."""
+        network, before = model.network, model.horizon.owner[nodes]
+        decided = [
+            (name, p) for name, p in model.published.items()
+            if name in model.build.variables
+            and p.kind not in ("bus", "branch")
+            and not (name in model.states and model.states[name].role == "stock")
+        ]  # fmt: skip
+        for name, published in decided:
+            table = network.tables[published.kind]
+            kept = np.array([i for i, n in enumerate(table.names) if n not in lost], dtype=np.intp)
+            if name == "qg" or not kept.size:
+                continue
+            change = published.values[kept][:, nodes] - published.values[kept][:, before]
+            if name == "pg":
+                change = change - self._slack(model, kept, nodes, what)
+            model.rows(published.kind, f"{name} {what}", change, 0.0, 0.0)
+        units = network.generator
+        at = np.unique([units.bus[i] for i, name in enumerate(units.names) if name not in lost])
+        magnitude = model.published.get("w") or model.published.get("vm")
+        if magnitude is not None and at.size:
+            change = magnitude.values[at][:, nodes] - magnitude.values[at][:, before]
+            model.rows("bus", f"voltage {what}", change, 0.0, 0.0)
+
+    def _slack(self, model: Model, kept: Index, nodes: Index, what: str) -> Expression:
+        """Return what each unit that is left adds, its share in the slack of its island."""
+        network, units = model.network, model.network.generator
+        weights = participation_of(units, np.ones(len(units), dtype=bool), self.participation)[kept]
+        island = network.island[units.bus[kept]]
+        slack = model.build.variable(f"slack {what}", network.n_islands, nodes.size)
+        added: Expression = divide(weights, island)[:, None] * slack[island]
+        return added
+
+
+def _alike(horizon: Horizon, network: PerUnitNetwork) -> list[tuple[frozenset[str], Index]]:
+    """Return the contingencies in which the same components other than branches are lost."""
+    groups: dict[frozenset[str], list[int]] = {}
+    for node in horizon.contingencies.tolist():
+        lost = frozenset(horizon.out[node]) - set(network.branch.names)
+        groups.setdefault(lost, []).append(node)
+    return [(lost, np.array(nodes, dtype=np.intp)) for lost, nodes in groups.items()]
+
 
 def splitting(network: PerUnitNetwork) -> dict[str, float]:
     """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW.
@@ -131,35 +211,35 @@ def splitting(network: PerUnitNetwork) -> dict[str, float]:
     return made
 
 
-def outage_fields(horizon: Horizon, network: PerUnitNetwork) -> list[tuple[str, str]]:
+def outage_fields(
+    security: Security | None, horizon: Horizon, network: PerUnitNetwork
+) -> list[tuple[str, str]]:
     """Return the fields that change in contingencies, by ``(kind, field)``."""
-    if not horizon.contingencies.size:
+    if security is None or not horizon.contingencies.size:
         return []
     out = {name for names in horizon.out for name in names}
     kinds = [kind for kind in _OUT if out & set(network.tables[kind].names)]
-    return [("branch", "rating"), *((kind, field) for kind in kinds for field in _OUT[kind])]
+    held = _HELD if security.response == "preventive" else {}
+    fields = [("branch", "rating"), *held, *((kind, field) for kind in kinds for field in _OUT[kind])]
+    return list(dict.fromkeys(fields))
 
 
 def at_contingencies(
-    series: Mapping[tuple[str, str], Array], horizon: Horizon, network: PerUnitNetwork, rating: float
+    series: Mapping[tuple[str, str], Array], security: Security, horizon: Horizon, network: PerUnitNetwork
 ) -> Fields:
-    """Return series at the nodes with the fields that change in contingencies.
-
-    Parameters
-    ----------
-    rating
-        Multiple of the ratings after an outage.
-    """
+    """Return series at the nodes with the fields that change in contingencies."""
     made = dict(series)
-    for kind, field in outage_fields(horizon, network):
+    for kind, field in outage_fields(security, horizon, network):
         table = network.tables[kind]
         values = series.get((kind, field), table.arrays[field])
         values = np.array(np.broadcast_to(values, (len(table), len(horizon))))
         if field == "rating":
-            values[:, horizon.contingencies] *= rating
+            values[:, horizon.contingencies] *= security.rating
+        if security.response == "preventive" and (kind, field) in _HELD:
+            values[:, horizon.contingencies] = _HELD[kind, field]
         for node in horizon.contingencies:
             for name in horizon.out[node]:
-                if field in _OUT[kind] and name in table.position:
+                if field in _OUT.get(kind, {}) and name in table.position:
                     values[table.position[name], node] = _OUT[kind][field]
         made[kind, field] = values
     return made

@@ -136,7 +136,28 @@ def slack_shares(points: Held, participation: Mapping[str, float] | None) -> Arr
         A factor is negative, or belongs to no generator in service.
     """
     table = points.network.generator
-    default = np.where(points.regulates, np.clip(table.p_max[:, 0], 0.0, WIDE), 0.0)
+    weights = participation_of(table, points.regulates, participation)
+    return divide(weights, points.network.island[table.bus])
+
+
+def participation_of(
+    table: Table, able: npt.NDArray[np.bool_], participation: Mapping[str, float] | None
+) -> Array:
+    """Return the weight of each generator in a distributed slack.
+
+    Parameters
+    ----------
+    able
+        Generators that participate in proportion to their capacity, unless they declare another weight.
+    participation
+        Weights by name, in place of those declared; others do not participate.
+
+    Raises
+    ------
+    ModelError
+        A weight is negative, or belongs to no generator in service.
+    """
+    default = np.where(able, np.clip(table.p_max[:, 0], 0.0, WIDE), 0.0)
     declared = table.participation[:, 0] / table.base_mva
     weights = np.where(np.isfinite(declared), declared, default)
     if participation is not None:
@@ -146,7 +167,7 @@ def slack_shares(points: Held, participation: Mapping[str, float] | None) -> Arr
                 known = nearest(name, table.names)
                 raise ModelError(f"participation: no generator in service is named {name!r}; {known}")
         weights = np.array([float(participation.get(name, 0.0)) for name in table.names])
-    return divide(weights, points.network.island[table.bus])
+    return np.asarray(weights)
 
 
 def _given(table: Table, field: str, limits: str) -> Array:

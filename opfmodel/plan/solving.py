@@ -54,7 +54,7 @@ def solved(
     begin = problem.stages - len(horizon)
     series = {**problem.ahead(time), **(request.expected or {})}
     if problem.security is not None:
-        series = at_contingencies(series, horizon, problem.arrays, problem.security.rating)
+        series = at_contingencies(series, problem.security, horizon, problem.arrays)
     network = problem.arrays.with_series(series)
     numbers = _numbers(problem, compiled, network, series, begin)
     if model.horizon.varying:

@@ -224,8 +224,17 @@ class SecuritySection(Section):
     contingencies: Literal["all"] | ContingenciesSection = Field(
         "all", description="`all`: every branch whose outage does not split the grid; or a mapping"
     )
+    response: Literal["corrective", "preventive"] = Field(
+        "corrective",
+        description="`corrective`: units and storages act within `minutes`; `preventive`: they hold what was "
+        "planned",
+    )
     minutes: Annotated[float, In("min")] = Field(
-        Security.minutes, description="time for the response to an outage"
+        Security.minutes, description="time for a corrective response"
+    )
+    participation: dict[str, float] | None = Field(
+        None,
+        description="weights of units in a preventive response, by name; by default those of the units",
     )
     rating: float = Field(
         Security.rating, description="multiple of the rating of a branch that applies after an outage"
