@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import extensive
 import numpy as np
+import pandapower as pp
 import pytest
+import xarray as xr
 
 import opfmodel as om
 from opfmodel.errors import ScenarioError, SecurityError
@@ -290,3 +292,60 @@ def test_security_is_a_key_of_a_scenario() -> None:
 def test_errors_in_a_scenario(key: str, value: object, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         om.load_scenario(CASE5, overrides={**SHORT, "controller.security": {key: value}})
+
+
+# Against another tool -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rating", [1.0, 1.5])
+def test_power_flows_of_pandapower_after_every_outage_are_within_limits(rating: float) -> None:
+    made = om.load_scenario(CASE5, overrides=SHORT)
+    grid = made.network
+    security = om.Security(response="preventive", rating=rating)
+    problem = om.MultiStage(
+        grid, 1, profiles=made.profiles, objective=made.cost, security=security, options={"tol": 1e-9}
+    )
+    plan = problem.solve(initial={"e": [100.0] * 5})
+    data = plan.data.isel(time=0)
+    free = om.MultiStage(grid, 1, profiles=made.profiles, objective=made.cost).solve(
+        initial={"e": [100.0] * 5}
+    )
+    assert _excess(grid, free.data.isel(time=0), rating) > 1.0  # MVA: without security some outage overloads
+    assert _excess(grid, data, rating) < 1e-3  # 1e-5 p.u.
+
+
+def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> float:
+    """The most by which any outage exceeds a limit, in MVA or in p.u. times 100, by pandapower."""
+    net = pp.create_empty_network(sn_mva=grid.base_mva)
+    at = {name: pp.create_bus(net, 1.0) for name in grid.of(om.Bus)}
+    for name, bus in at.items():
+        pp.create_load(net, bus, data["pd"].sel(bus=name).item(), data["qd"].sel(bus=name).item())
+    for name, cell in grid.of(om.Storage).items():
+        ps, qs = (data[key].sel(storage=name).item() for key in ("ps", "qs"))
+        pp.create_load(net, at[cell.bus], ps, qs)
+    for branch in grid.of(om.Branch).values():
+        ohm = 1.0 / grid.base_mva  # at 1 kV
+        pp.create_line_from_parameters(
+            net, at[branch.from_bus], at[branch.to_bus], 1.0, branch.r * ohm, branch.x * ohm,
+            branch.b / ohm / (2 * np.pi * net.f_hz) * 1e9, 1e6,
+        )  # fmt: skip
+    for name, unit in grid.of(om.Generator).items():
+        pp.create_gen(
+            net, at[unit.bus], data["pg"].sel(generator=name).item(), data["vm"].sel(bus=unit.bus).item(),
+            slack=grid[unit.bus].reference, slack_weight=unit.p[1],
+        )  # fmt: skip
+    worst = 0.0
+    for out in (None, *net.line.index):
+        net.line["in_service"] = net.line.index != out
+        pp.runpp(net, distributed_slack=True, tolerance_mva=1e-9, calculate_voltage_angles=True)
+        flows, units = net.res_line, net.res_gen
+        ends = [np.hypot(flows[f"p_{end}_mw"], flows[f"q_{end}_mvar"]) for end in ("from", "to")]
+        limits = np.array([branch.rating or np.inf for branch in grid.of(om.Branch).values()])
+        worst = max(worst, (np.maximum(*ends) - (limits if out is None else rating * limits)).max())
+        for column, key in (("p_mw", "p"), ("q_mvar", "q")):
+            low, high = np.array([getattr(unit, key) for unit in grid.of(om.Generator).values()]).T
+            worst = max(worst, (low - units[column]).max(), (units[column] - high).max())
+        low, high = np.array([bus.vm for bus in grid.of(om.Bus).values()]).T
+        vm = net.res_bus.vm_pu
+        worst = max(worst, 100 * (low - vm).max(), 100 * (vm - high).max())
+    return float(worst)
