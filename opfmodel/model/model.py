@@ -14,7 +14,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
-from opfmodel.model.stage import Quantities, sum_of_costs
+from opfmodel.model.stage import Quantities, RegularStage, per_node, sum_of_costs
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.components import BUILT_IN
 from opfmodel.network.physics import Admittance
@@ -117,7 +117,7 @@ class Model:
         self.horizon = horizon
         self.delay = delay
         self.stages = stages = len(horizon)
-        self.step = _per_node(horizon.hours)
+        self.step = per_node(horizon.hours)
         self.starts = np.arange(stages) if shrinks else horizon.roots
         self.reactive = reactive
         self.zones = zones
@@ -267,7 +267,7 @@ class Model:
         horizon, moving = self.horizon, values[ramped]
         alone = horizon.parent < 0
         alone[horizon.contingencies] = True  # units respond for as long as it lasts
-        hours = _per_node(
+        hours = per_node(
             np.where(alone, horizon.hours, 0.5 * (horizon.hours + horizon.hours[horizon.parent]))
         )
 
@@ -471,14 +471,14 @@ class Model:
     def probability_of(self, nodes: Index) -> Any:
         """Return the probability of nodes, in the form of :attr:`weight`."""
         chosen = self.probability[:, nodes]
-        return chosen if isinstance(chosen, Expression) else _per_node(chosen[0])
+        return chosen if isinstance(chosen, Expression) else per_node(chosen[0])
 
     def _hours_of(self, nodes: Index) -> Any:
         """Return the influence of nodes, in the form of :attr:`weight`; see :attr:`Horizon.influence`."""
         if isinstance(self.probability, Expression):
             owner = self.horizon.owner[nodes]
             return self.probability[:, owner] * self.horizon.hours[None, owner]
-        return _per_node(self.horizon.influence[nodes])
+        return per_node(self.horizon.influence[nodes])
 
     def penalty(self, soft: Soft, nodes: Index | None = None) -> Any:
         """Return the penalty in $ of one internal unit of a soft limit over each stage.
@@ -656,43 +656,6 @@ class Model:
         return self.network.admittance if self.status is None else self.network.admittance * self.status
 
 
-class RegularStage:
-    """The quantities of a model at the regular nodes of its horizon, without contingencies."""
-
-    def __init__(self, model: Model) -> None:
-        self.network = model.network
-        self.horizon = model.horizon.regular
-        self.stages = len(self.horizon)
-        self.step = _per_node(self.horizon.hours)
-        self._model = model
-
-    def __getattr__(self, kind: str) -> Quantities:
-        whole = getattr(self._model, kind)
-
-        def get(name: str) -> Any:
-            values = getattr(whole, name) if name in whole else None
-            if values is None or (
-                isinstance(values, np.ndarray) and (values.ndim < 2 or values.shape[1] == 1)
-            ):
-                return values
-            return values[:, np.arange(self.stages)]
-
-        return Quantities(kind, get, lambda: dir(whole))
-
-    def leaves(self, values: Any) -> Any:
-        """Return a quantity at the end of the horizon: at the last node of each scenario."""
-        return values[:, self.horizon.leaves]
-
-    def has(self, name: str) -> bool:
-        """Whether a quantity is published."""
-        return self._model.has(name)
-
-    @property
-    def operating_cost(self) -> Any:
-        """Operating cost of all devices, $/h."""
-        return sum_of_costs(self._model.devices, self)
-
-
 def _status(network: PerUnitNetwork, horizon: Horizon) -> Array | None:
     """Return 1 for each branch and node, and 0 where the branch is out of service."""
     branch = network.branch
@@ -707,11 +670,6 @@ def _status(network: PerUnitNetwork, horizon: Horizon) -> Array | None:
     status = np.ones((len(branch), len(horizon)))
     status[tuple(zip(*out, strict=True))] = 0.0
     return status
-
-
-def _per_node(values: Array) -> Any:
-    """Return one value per node as a number if all are equal, else as an array ``(1, nodes)``."""
-    return float(values[0]) if (values == values[0]).all() else values[None, :]
 
 
 def _root(bound: Bound) -> Callable[[Table], Array]:

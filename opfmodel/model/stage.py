@@ -14,8 +14,9 @@ from opfmodel.network.arrays import PerUnitNetwork
 
 if TYPE_CHECKING:
     from opfmodel.model.device import Device
+    from opfmodel.model.model import Model
 
-__all__ = ["NumericStage", "Quantities", "Stage", "sum_of_costs"]
+__all__ = ["NumericStage", "Quantities", "RegularStage", "Stage", "per_node", "sum_of_costs"]
 
 Array = npt.NDArray[np.float64]
 
@@ -135,6 +136,48 @@ class NumericStage:
     def operating_cost(self) -> Any:
         """Operating cost of all devices, $/h, one value per stage."""
         return sum_of_costs(self._devices, self)
+
+
+class RegularStage:
+    """The quantities of a model at the regular nodes of its horizon, without contingencies."""
+
+    def __init__(self, model: Model) -> None:
+        self.network = model.network
+        self.horizon = model.horizon.regular
+        self.stages = len(self.horizon)
+        self.step = per_node(self.horizon.hours)
+        self._model = model
+
+    def __getattr__(self, kind: str) -> Quantities:
+        whole = getattr(self._model, kind)
+
+        def get(name: str) -> Any:
+            values = getattr(whole, name) if name in whole else None
+            if values is None or (
+                isinstance(values, np.ndarray) and (values.ndim < 2 or values.shape[1] == 1)
+            ):
+                return values
+            return values[:, np.arange(self.stages)]
+
+        return Quantities(kind, get, lambda: dir(whole))
+
+    def leaves(self, values: Any) -> Any:
+        """Return a quantity at the end of the horizon: at the last node of each scenario."""
+        return values[:, self.horizon.leaves]
+
+    def has(self, name: str) -> bool:
+        """Whether a quantity is published."""
+        return self._model.has(name)
+
+    @property
+    def operating_cost(self) -> Any:
+        """Operating cost of all devices, $/h."""
+        return sum_of_costs(self._model.devices, self)
+
+
+def per_node(values: Array) -> Any:
+    """Return one value per node as a number if all are equal, else as an array ``(1, nodes)``."""
+    return float(values[0]) if (values == values[0]).all() else values[None, :]
 
 
 def sum_of_costs(devices: Iterable[Device], stage: Any) -> Any:

@@ -172,6 +172,8 @@ class MultiStage:
         self.security = security
         if security is not None:
             self.horizon = security.secured(self.horizon, self.arrays)
+            states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
+            check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
         self.objective = Economic() if objective is None else objective
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
