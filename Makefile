@@ -9,6 +9,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SECONDS ?= 300
+PARALLEL ?= -n auto --maxprocesses 4
 
 .PHONY: run test test-slow fuzz check table bench generated pglib clean
 
@@ -16,10 +17,10 @@ run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
 
 test: .venv/.test
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
 
 test-slow: .venv/.slow
-	$(BIN)/python -m pytest -q -m slow
+	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
 
 fuzz: .venv/.test
 	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --docs docs/inputs.md
