@@ -22,7 +22,7 @@ from opfmodel.forecasts import Noisy, Persistence
 from opfmodel.model import Device, Model
 from opfmodel.network import Component, at_bus, span
 from opfmodel.network.arrays import Table
-from opfmodel.plan import multistage as plan_module
+from opfmodel.plan import compiled as plan_module
 from opfmodel.simulation import Run, Step
 
 PLANTS = [om.PowerFlow, om.Redispatch]
