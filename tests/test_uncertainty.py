@@ -167,3 +167,36 @@ def test_scenarios_that_do_not_fit_are_refused_with_their_key(
     path.write_text(FILE.format(section), encoding="utf-8")
     with pytest.raises(ScenarioError, match=message):
         om.load_scenario(path).simulate()
+
+
+def test_where_errors_meet_scarcity_the_plan_for_the_expected_demand_costs_more() -> None:
+    """The example of docs/uncertainty.md: the first hour of one plan, and the best that can follow it."""
+    grid = om.Network("two-bus")
+    grid.north, grid.south = om.Bus(reference=True), om.Bus()
+    grid.tie = om.Branch("north", "south", r=0.01, x=0.1, rating=120)
+    grid.coal = om.Generator("north", p=(0, 100), q=(-80, 80), ramp=15, cost=om.Polynomial(0.01, 15, 0))
+    grid.peaker = om.Generator("south", p=(0, 80), q=(-80, 80), cost=om.Polynomial(0.02, 80, 0))
+    grid.cell = om.Storage("south", energy=60, power=20, q=10)
+    grid.town = om.Load("south", p=80, q=20)
+    scenarios = om.Scenarios(1, {"calm": om.Case(0.8, [Scale(0.95)]), "peak": om.Case(0.2, [Scale(1.35)])})
+    hours, state = [1, 1, 1, 2, 2], {"e": [30.0], "pg": [80.0, 0.0]}
+    series = om.Profiles.of({"town.p": np.full(9, 80.0), "town.q": np.full(9, 20.0)})
+    factor = np.where(np.arange(9) < 1, 1.0, 0.8 * 0.95 + 0.2 * 1.35)
+    expected = om.Profiles.of({key: values * factor for key, values in series.items()})
+    chain = om.MultiStage(grid, om.Horizon.grid(hours), profiles=expected).solve(initial=state)
+    assert chain.data["pg"].values[0] == pytest.approx([78.3, 0.0], abs=0.05)
+    assert chain.data["ps"].values[0] == pytest.approx([-2.2], abs=0.05)
+
+    def cost(first: om.Plan | None) -> float:
+        tree = om.MultiStage(grid, scenarios.horizon(hours), profiles=series)
+        if first is not None:
+            pg, ps = first.data["pg"].values[0, 0], first.data["ps"].values[0]
+            root = np.array([0])
+            tree.constrain("pg", lambda stage: stage.generator.pg[:1][:, root] == pg)
+            tree.constrain("ps", lambda stage: stage.storage.ps[:, root] == ps[:, None])
+        plan = om.Controller(tree, scenarios=scenarios).plan(0, state)
+        assert plan.optimal
+        return plan.expected_cost
+
+    assert cost(None) == pytest.approx(8_774, abs=1)
+    assert cost(chain) - cost(None) == pytest.approx(285, abs=1)
