@@ -195,8 +195,8 @@ class Expression(_Symbolic):
         rows, columns = (np.atleast_1d(k) if not isinstance(k, slice) else k for k in keys)
         if isinstance(columns, slice) and columns != slice(None) and not self.builder.ordered:
             raise ProgramError(
-                "a slice of stages has no meaning here: the stages are nodes of a tree, which do not follow "
-                "one another"
+                "a slice of stages has no meaning here: the stages are nodes of a tree, or have "
+                "contingencies, and do not follow one another; select them by position"
             )
         old, new, leaves = [], [], {}
         try:

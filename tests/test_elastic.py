@@ -277,6 +277,15 @@ def test_a_shortage_that_is_traded_saves_cost_above_its_price(
     assert plan.objective == pytest.approx(plan.expected_cost + plan.penalty)
 
 
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_a_shortage_that_is_traded_is_reported(formulation: str) -> None:
+    grid = one_bus(40)
+    grid.dear = om.Generator("4", p=(0, 100), cost=om.Polynomial(0, 15_000, 0))
+    grid.update("town", p=60, q=10)
+    problem = om.MultiStage(grid, formulation=formulation, elastic=om.Elastic(traded=True))
+    assert "bus 4 lacks 20.0 MW at hour 0" in [str(shortage) for shortage in problem.solve().shortages]
+
+
 def test_traded_shortages_of_scenarios_count_with_their_probabilities() -> None:
     cases = {"calm": 0.9, "peak": 0.1}
     demand = np.array([[30.0, 40.0, 60.0]])

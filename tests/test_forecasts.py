@@ -146,7 +146,7 @@ def test_members_at_local_times(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("town.p\n1\n2\n", "has no members .* column 'member'"),
+        ("town.p\n1\n2\n", "issued at step 0 has no members .* column 'member'"),
         (ENSEMBLE, "issued at step 1 has 3 members, fewer than the 4 paths to draw"),
     ],
 )

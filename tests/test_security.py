@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import opfmodel as om
-from opfmodel.errors import ScenarioError, SecurityError
+from opfmodel.errors import IncompatibleError, ScenarioError, SecurityError
 from opfmodel.plan.security import splitting
 
 ENERGY = {"cell": 60.0, "tank": 10.0}
@@ -153,7 +153,7 @@ def test_outages_of_units_and_storages_agree_with_the_extensive_form(formulation
     assert plan.objective > solved(horizon, None, formulation).objective + 1.0
 
 
-@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "dc", "dc-losses", "dc-matpower", "soc"])
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"])
 def test_with_wide_limits_security_changes_nothing(formulation: str) -> None:
     loose = om.Security(minutes=60, rating=10)
     plan = solved(om.Horizon.chain(2), loose, formulation)
@@ -349,3 +349,100 @@ def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> float:
         vm = net.res_bus.vm_pu
         worst = max(worst, 100 * (low - vm).max(), 100 * (vm - high).max())
     return float(worst)
+
+
+# What an outage must not do -------------------------------------------------------------------------------
+
+
+def test_a_rating_that_binds_only_after_an_outage_has_a_price() -> None:
+    def cost(change: float) -> om.Plan:
+        made = grid()
+        made.update("ac", rating=65 + change)
+        problem = om.MultiStage(
+            made, 1, formulation="dc", security=om.Security({"branches": ["ab"]}, minutes=5, rating=1.2)
+        )
+        return problem.solve(initial={"e": [60.0, 10.0], "pg": [110.0, 30.0]})
+
+    plan = cost(0.0)
+    price = (cost(-0.5).objective - cost(0.5).objective) / 1.0
+    assert price > 1.0
+    assert plan.data["rating_price"].sel(branch="ac").values == pytest.approx([price], rel=1e-3)
+
+
+def test_no_real_limit_is_violated_for_an_outage_that_has_not_happened() -> None:
+    made = om.Network("one", base_mva=100)
+    made.a = om.Bus(reference=True)
+    made.slow = om.Generator("a", p=(0, 100), ramp=10, cost=om.Polynomial(0, 20, 0))
+    made.gas = om.Generator("a", p=(0, 100), cost=om.Polynomial(0, 10, 0))
+    made.town = om.Load("a", p=60)
+    security = om.Security({"generators": ["gas"]}, minutes=6)
+    problem = om.MultiStage(made, 3, formulation="dc", security=security, elastic=om.Elastic())
+    plan = problem.solve(initial={"pg": [0.0, 60.0]})
+    assert plan.data["pg"].sel(generator="slow").values[0] < 10 + 1e-3
+    assert all(shortage.hypothetical for shortage in plan.shortages)
+    assert str(plan.shortages[0]) == (
+        "generator slow must rise 49.0 MW faster than its ramp allows at hour 0 after the outage of gas "
+        "(and after 2 others)"
+    )
+
+
+def test_energy_does_not_limit_a_preventive_response() -> None:
+    made = grid()
+    made.update("cell", energy=90)
+    security = om.Security({"branches": ["ab"]}, "preventive", rating=10)
+    options = {"formulation": "dc", "end": om.End(minimum=1.0), "profiles": demand(2)}
+    plans = [
+        om.MultiStage(made, 2, security=chosen, **options).solve(initial={"e": [45.0, 10.0]})
+        for chosen in (None, security)
+    ]
+    assert plans[0].optimal
+    assert plans[1].objective == pytest.approx(plans[0].objective, rel=1e-6)
+
+
+def test_what_security_cannot_do_is_refused() -> None:
+    security = om.Security({"branches": ["ab"]})
+    with pytest.raises(IncompatibleError, match="traded against cost"):
+        om.MultiStage(grid(), security=security, elastic=om.Elastic(traded=True))
+    with pytest.raises(IncompatibleError, match="'dc-losses': after an outage its losses cost nothing"):
+        om.MultiStage(grid(), security=security, formulation="dc-losses")
+    with pytest.raises(IncompatibleError, match="without scenarios and security"):
+        om.MultiStage(grid(), 1, security=security, at_end="shrink")
+    secured = om.Horizon.chain(1).with_contingencies([(0, ("gas",))], 15)
+    with pytest.raises(om.OpfmodelError, match="has contingencies; state them by security"):
+        om.MultiStage(grid(), secured)
+    delayed = om.MultiStage(grid(), 1, security=security, generator_delay=1, formulation="dc")
+    plan = delayed.solve(initial={"e": [60.0, 10.0], "pg": [80.0, 60.0]})
+    with pytest.raises(IncompatibleError, match="at least 2 stages"):
+        plan.next_state()
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        ({"contingencies": "branches"}, "contingencies = 'branches': must be 'all' or lists of names"),
+        ({"contingencies": ["ab"]}, "must be 'all' or lists of names by branches, generators, storages"),
+        ({"contingencies": {"branches": "ab"}}, "branches: 'ab': must be a list of names"),
+        ({"contingencies": {"branches": [1]}}, "branches: .*: must be a list of names"),
+        ({"response": "brave"}, "response = 'brave': must be corrective or preventive"),
+        ({"participation": {"coal": 1}}, "participation: applies to a preventive response only"),
+        ({"response": "preventive", "participation": {"coal": -1}}, "participation: coal"),
+    ],
+)
+def test_arguments_that_do_not_fit(stated: dict[str, object], message: str) -> None:
+    with pytest.raises(SecurityError, match=message):
+        om.Security(**stated)
+
+
+def test_values_of_the_stages_are_those_of_contingencies_too() -> None:
+    problem = om.MultiStage(
+        grid(), 2, formulation="dc", profiles={"ab.rating": [95.0, 90.0]}, security=om.Security(rating=3)
+    )
+    ratings = np.full((4, 2), 2.0)
+    plan = problem.solve(expected={("branch", "rating"): ratings})
+    assert plan.optimal
+    assert plan.network.branch.rating.tolist() == ratings.tolist()
+
+
+def test_what_is_not_secured_is_noted() -> None:
+    problem = om.MultiStage(grid(), 2, profiles={"farm.p": [50.0, 80.0]}, security=om.Security(rating=3))
+    assert "not secured, because their outage splits the grid: cd (80 MW in all)" in problem.notes

@@ -500,7 +500,7 @@ def test_nested_figures_become_columns() -> None:
 
 def test_every_study_of_the_package_is_valid() -> None:
     counts = {path.stem: len(read_study(path)) for path in (SCENARIOS / "studies").glob("*.yaml")}
-    assert counts == {"ac-versus-dc": 80, "horizon": 8}
+    assert counts == {"ac-versus-dc": 80, "horizon": 8, "uncertainty": 140}
 
 
 def resealed(text: str, **changes: Any) -> str:

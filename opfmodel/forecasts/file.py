@@ -112,8 +112,8 @@ class File(Forecast):
         members, rows = next(iter(series.values())).shape
         if members == 1:
             raise ProfileError(
-                f"{self.file}: has no members from which scenarios can be drawn; state them in "
-                f"a column {_MEMBER!r}"
+                f"{self.file}: the forecast issued at step {step} has no members from which scenarios can be "
+                f"drawn; state at least two in a column {_MEMBER!r}"
             )
         if number > members:
             raise ProfileError(

@@ -43,11 +43,14 @@ class Formulation:
         Whether reactive power is balanced.
     publishes
         Network quantities that objectives and constraints may use.
+    slack_losses
+        Whether losses are only bounded from below: fictitious ones may absorb power that costs nothing.
     """
 
     name: ClassVar[str]
     reactive: ClassVar[bool]
     publishes: ClassVar[tuple[str, ...]]
+    slack_losses: ClassVar[bool] = False
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
         """Return the balance row of each bus; by default one per bus."""
@@ -180,6 +183,12 @@ def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnit
         limited = read(solution, network)
         price = np.zeros((len(network.branch), limited.shape[1]))
         price[members] = limited
+        rating = network.branch.rating
+        for node in model.horizon.contingencies:  # whose ratings are multiples of those of their owners
+            owner = model.horizon.owner[node]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                multiple = rating[members, node] / rating[members, owner]
+            price[members, owner] += np.where(np.isfinite(multiple), multiple, 0.0) * price[members, node]
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

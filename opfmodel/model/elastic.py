@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -177,7 +178,8 @@ class Shortage:
     horizon
         The nodes in time that the stages are.
     cost
-        Amount times the price of the elastic problem, weighted with probability, $.
+        Amount times the price of the elastic problem, weighted with probability, $; after outages, as if they
+        happened.
     """
 
     kind: str
@@ -200,6 +202,12 @@ class Shortage:
         """Maximum amount over the stages."""
         return float(self.amounts.max())
 
+    @property
+    def hypothetical(self) -> bool:
+        """Whether it arises only after outages."""
+        contingencies = self.horizon.contingencies
+        return bool(self.hours.size and contingencies.size and (self.amounts[contingencies] > 0).any())
+
     def __str__(self) -> str:
         short = np.flatnonzero(self.amounts > 1e-3 * self.worst)
         amount = f"{_figure(self.worst)} {self.unit}".strip()
@@ -209,8 +217,11 @@ class Shortage:
         first = np.argmax(self.amounts >= (1.0 - 1e-4) * self.worst)  # of equals, whatever the solver leaves
         scenario = self.horizon.scenario[first]
         text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
-        if self.horizon.out and self.horizon.out[first]:
-            text += f" after the outage of {', '.join(self.horizon.out[first])}"
+        if self.hypothetical:
+            others = short.size - 1
+            return f"{text} after the outage of {', '.join(self.horizon.out[first])}" + (
+                f" (and after {others} others)" if others else ""
+            )
         if short.size > 1:
             total = ""
             if self.unit in _TOTALS:
@@ -228,7 +239,7 @@ def shortages(
     horizon: Horizon,
     times: Times,
 ) -> tuple[Shortage, ...]:
-    """Return the shortfalls of a network, the most expensive first.
+    """Return the shortfalls of a network, the most expensive first, those after outages last.
 
     Parameters
     ----------
@@ -238,7 +249,9 @@ def shortages(
         The nodes in time, and when each begins.
     """
     hours = times.hours
-    found: dict[tuple[str, str, str, str, Side], tuple[Soft, Array, Array]] = {}
+    found: dict[tuple[str, str, str, str, Side, bool], tuple[Soft, Array, Array]] = {}
+    real = np.ones(len(horizon), dtype=bool)
+    real[horizon.contingencies] = False
     for slack in slacks:
         soft = slack.soft
         names = soft.names or network.tables[slack.kind].names
@@ -246,21 +259,25 @@ def shortages(
             spread = slack.spread(part, len(names), hours.size) if soft.timed else part
             weights = horizon.influence if soft.timed else horizon.influence[:1]
             priced = float(getattr(prices, soft.price)) * spread * weights
-            for item in np.flatnonzero(spread.max(axis=1, initial=0.0) > LEAST):
-                key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side))
+            nodes = real if spread.shape[1] == real.size else np.ones(spread.shape[1], dtype=bool)
+            for happens, item in product((True, False), range(len(spread))):
+                own = spread[item] * (nodes == happens)
+                if own.max(initial=0.0) <= LEAST:
+                    continue
+                key = (soft.noun or slack.kind, names[item], soft.limit, soft.unit, soft.side(side), happens)
                 none = np.zeros(spread.shape[1])
                 _, known, cost = found.get(key, (soft, none, none))
                 # the ends of a branch share one rating; the shortfalls of several loads at a bus add up
                 join = np.maximum if soft.price == "limit" else np.add
-                found[key] = soft, join(known, spread[item]), join(cost, priced[item])
+                found[key] = soft, join(known, own), join(cost, priced[item] * (nodes == happens))
     made = []
     moments = times.shown if found else ()
-    for (kind, component, _, unit, side), (soft, amounts, costs) in found.items():
+    for (kind, component, _, unit, side, _), (soft, amounts, costs) in found.items():
         total = float(costs.sum()) * (network.base_mva if unit else 1.0)
         physical = amounts * scale(unit, network.base_mva)
         timed = (hours, moments) if soft.timed else (hours[:0], ())
         made.append(Shortage(kind, component, soft, side, physical, *timed, horizon, total))
-    return tuple(sorted(made, key=lambda shortage: -shortage.cost))
+    return tuple(sorted(made, key=lambda shortage: (shortage.hypothetical, -shortage.cost)))
 
 
 def _figure(value: float) -> str:

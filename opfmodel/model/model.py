@@ -495,13 +495,16 @@ class Model:
 
     @cached_property
     def _urgency(self) -> Array:
-        """Factor of the penalties in each node: less than 1 in all contingencies of a node together.
+        """Factor of the penalties in each node: together, those of all contingencies are below any real one.
 
-        No real load is shed for an outage that has not happened.
+        No limit is violated and no load is shed for an outage that has not happened.
         """
-        urgency, owner = np.ones(self.stages), self.horizon.owner
-        of = self.horizon.contingencies
-        urgency[of] = 0.5 / np.bincount(owner[of], minlength=self.stages)[owner[of]]
+        assert self.elastic is not None
+        prices = (self.elastic.limit, self.elastic.shedding, self.elastic.balance)
+        real = self.horizon.regular.weights
+        share = min(prices) / max(prices) * real.min() / real.max()
+        urgency = np.ones(self.stages)
+        urgency[self.horizon.contingencies] = 0.5 * share / self.horizon.contingencies.size
         return urgency
 
     def _soften_balance(self) -> None:

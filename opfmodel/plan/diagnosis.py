@@ -20,10 +20,11 @@ def shortfall_due(plan: Plan) -> Solution:
 
     A plan sheds the same share of both, even where only one is lacking. Here the shares are independent, and
     only loads that the plan sheds can be shed. With the resulting amounts added, the hard problem is
-    feasible. If the solver fails, the solution of the plan is returned, for which this also holds.
+    feasible. If the solver fails, the solution of the plan is returned, for which this also holds, and so it
+    is if shortfalls are traded against cost: the minimum shortfall is then not what the plan accepts.
     """
-    shares = plan.model.shares
-    if not (shares and plan.model.reactive):
+    shares, elastic = plan.model.shares, plan.model.elastic
+    if not (shares and plan.model.reactive) or (elastic is not None and elastic.traded):
         return plan.solution
     most = np.where(plan.solution.value(shares[0]) > LEAST, 1.0, 0.0)
     if not most.any():

@@ -171,7 +171,8 @@ class MultiStage:
         self.horizon = self._horizon(horizon, step)
         self.security = security
         if security is not None:
-            self.horizon = security.secured(self.horizon, self.arrays)
+            self._check_secured(elastic)
+            self.horizon = security.secured(self.horizon, self._peak())
             states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
             check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
         self.objective = Economic() if objective is None else objective
@@ -186,9 +187,11 @@ class MultiStage:
         self.risk = risk
         self.devices = make_devices(self.arrays, devices)
         self.at_end = at_end
-        if at_end == "shrink" and not (self.horizon.is_chain and self.horizon.is_even):
+        simple = self.horizon.is_chain and self.horizon.is_even and security is None
+        if at_end == "shrink" and not simple:
             raise IncompatibleError(
-                "at_end = 'shrink': needs stages of one step without scenarios; use 'error' or 'repeat'"
+                "at_end = 'shrink': needs stages of one step, without scenarios and security; "
+                "use 'error' or 'repeat'"
             )
         self.solver = solver
         self.options = dict(options or {})
@@ -216,6 +219,8 @@ class MultiStage:
                 "leave the step out, or resample the series"
             )
         if isinstance(given, Horizon):
+            if given.out:
+                raise ModelError("horizon: has contingencies; state them by security = Security(...)")
             return given
         known = 1.0 if calendar is None else calendar.step
         return Horizon.chain(given, known if stated is None else stated)
@@ -228,8 +233,8 @@ class MultiStage:
 
     @property
     def stages(self) -> int:
-        """Number of stages, which are the nodes of the horizon."""
-        return len(self.horizon)
+        """Number of stages, which are the nodes of the horizon without contingencies."""
+        return len(self.horizon.regular)
 
     @property
     def step(self) -> float:
@@ -239,7 +244,26 @@ class MultiStage:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the network and its formulation: components left out, and choices made for it."""
-        return (*self.arrays.notes, *self.formulation.notes(self.arrays))
+        own = () if self.security is None else self.security.notes(self._peak())
+        return (*self.arrays.notes, *self.formulation.notes(self.arrays), *own)
+
+    def _check_secured(self, elastic: Elastic | None) -> None:
+        """Raise :class:`IncompatibleError` for a problem that cannot be secured."""
+        if elastic is not None and elastic.traded:
+            raise IncompatibleError(
+                "security with shortfalls that are traded against cost (limits: soft): those after outages "
+                "that have not happened would outweigh real ones; use hard limits"
+            )
+        if self.formulation.slack_losses:
+            raise IncompatibleError(
+                f"security with formulation {self.formulation.name!r}: after an outage its losses cost "
+                "nothing and would absorb any power; use ac, soc or dc"
+            )
+
+    def _peak(self) -> PerUnitNetwork:
+        """The arrays of the network with the series from their beginning to their end."""
+        steps = self.profiles.length
+        return self.arrays.with_series(window(self.profiles, self.arrays, 0, steps)) if steps else self.arrays
 
     def constrain(
         self,

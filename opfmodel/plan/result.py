@@ -330,9 +330,9 @@ class Plan:
 
         For ``soc``, the ``largest_cone_slack`` in p.u. and the ``largest_angle_mismatch`` around loops
         in degrees: the relaxation is exact if both vanish. Empty for formulations that relax
-        nothing and for plans that are not optimal.
+        nothing, for secure plans, and for plans that are not optimal.
         """
-        if not self.optimal:
+        if not self.optimal or self.request.horizon.out:
             return {}
         return self.problem.formulation.relaxation(self.solution, self.network)
 
@@ -352,7 +352,8 @@ class Plan:
 
 
 def _penalty(model: Model, solution: Solution) -> float:
-    return sum(float(solution.value(name).sum()) for name in penalty_outputs(model))
+    amounts = (solution.value(name) for name in penalty_outputs(model))
+    return sum(float(np.maximum(values, 0.0).sum()) for values in amounts)  # solvers leave -1e-8 of each
 
 
 def _with_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:

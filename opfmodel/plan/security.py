@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.devices.held import divide
-from opfmodel.errors import SecurityError, nearest
+from opfmodel.errors import SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
 from opfmodel.network.arrays import Index, PerUnitNetwork
@@ -35,11 +35,8 @@ _OUT: Mapping[str, Mapping[str, float]] = {
     "storage": {"power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
 }
 # A preventive response takes no time: neither ramps nor energy limit it.
-_HELD: Mapping[tuple[str, str], float] = {
-    ("generator", "ramp"): np.inf,
-    ("storage", "energy_min"): -np.inf,
-    ("storage", "energy"): np.inf,
-}
+_HELD: Mapping[tuple[str, str], float] = {("generator", "ramp"): np.inf}
+_AT_ONCE = 1e-7  # min; ramps of zero length would be undefined
 
 Response = Literal["corrective", "preventive"]
 
@@ -88,8 +85,25 @@ class Security:
             raise SecurityError(f"security: response = {self.response!r}: must be corrective or preventive")
         if self.participation is not None and self.response == "corrective":
             raise SecurityError("security: participation: applies to a preventive response only")
+        self._check_contingencies()
+        for name, weight in (self.participation or {}).items():
+            number_within(f"security: participation: {name}", weight, at_least=0, error=SecurityError)
         number_within("security: minutes", self.minutes, above=0, error=SecurityError)
         number_within("security: rating", self.rating, above=0, error=SecurityError)
+
+    def _check_contingencies(self) -> None:
+        if isinstance(self.contingencies, str) and self.contingencies == "all":
+            return
+        if not isinstance(self.contingencies, Mapping):
+            raise SecurityError(
+                f"security: contingencies = {shown(self.contingencies)}: must be 'all' or lists of names by "
+                f"{', '.join(KINDS)}"
+            )
+        for key, names in self.contingencies.items():
+            if key not in KINDS:
+                raise SecurityError(f"contingencies: {shown(key)}: {nearest(key, KINDS)}")
+            if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+                raise SecurityError(f"contingencies: {key}: {shown(names)}: must be a list of names")
 
     def outages(self, network: PerUnitNetwork) -> list[str]:
         """Return the names of the components that may go out, one at a time.
@@ -108,8 +122,6 @@ class Security:
         assert not isinstance(self.contingencies, str)
         for key, names in self.contingencies.items():
             place = ("security", "contingencies", key)
-            if key not in KINDS:
-                raise SecurityError(f"contingencies: {key!r}: {nearest(key, KINDS)}", *place)
             table = network.tables[KINDS[key]]
             for name in names:
                 matched = [known for known in table.names if name_pattern(name).fullmatch(known)]
@@ -129,11 +141,22 @@ class Security:
                     )
                 yield name
 
+    def notes(self, network: PerUnitNetwork) -> tuple[str, ...]:
+        """Return which branches are left out because their outage splits the grid."""
+        bridges = splitting(network)
+        if not bridges:
+            return ()
+        lost = sum(bridges.values())
+        return (
+            f"not secured, because their outage splits the grid: {listed(bridges)} ({lost:.4g} MW in all)",
+        )
+
     def secured(self, horizon: Horizon, network: PerUnitNetwork) -> Horizon:
         """Return a horizon with a contingency after every node for every outage."""
         names = self.outages(network)
         nodes = range(len(horizon.regular))
-        return horizon.with_contingencies([(node, (name,)) for node in nodes for name in names], self.minutes)
+        minutes = self.minutes if self.response == "corrective" else _AT_ONCE
+        return horizon.with_contingencies([(node, (name,)) for node in nodes for name in names], minutes)
 
     def hold(self, model: Model) -> None:
         """State in a model what a preventive response leaves as it was before the outage."""

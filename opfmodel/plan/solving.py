@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import ModelError, listed, shown
+from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import integer
 from opfmodel.network.units import scale
@@ -51,9 +52,10 @@ def solved(
     model, program, session = compiled.model, compiled.program, compiled.session
     _check(request, problem, compiled, previous)
     horizon = problem.horizon_from(time)
-    begin = problem.stages - len(horizon)
+    begin = problem.stages - len(horizon.regular)
     series = {**problem.ahead(time), **(request.expected or {})}
     if problem.security is not None:
+        series = {key: _of_owners(values, horizon) for key, values in series.items()}
         series = at_contingencies(series, problem.security, horizon, problem.arrays)
     network = problem.arrays.with_series(series)
     numbers = _numbers(problem, compiled, network, series, begin)
@@ -88,6 +90,11 @@ def solved(
     solution = session.solve(instance, start)
     solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
     return Plan(problem, model, solution, network, request)
+
+
+def _of_owners(values: Array, horizon: Horizon) -> Array:
+    """Return values of the stages also for contingencies, which have those of their owners."""
+    return values[:, horizon.owner] if values.shape[1] == len(horizon.regular) else values
 
 
 def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: Plan | None) -> None:
