@@ -446,3 +446,11 @@ def test_values_of_the_stages_are_those_of_contingencies_too() -> None:
 def test_what_is_not_secured_is_noted() -> None:
     problem = om.MultiStage(grid(), 2, profiles={"farm.p": [50.0, 80.0]}, security=om.Security(rating=3))
     assert "not secured, because their outage splits the grid: cd (80 MW in all)" in problem.notes
+
+
+def test_units_that_cannot_move_take_no_part_in_a_preventive_response() -> None:
+    made = grid()
+    made.must = om.Generator("b", p=(20, 20), q=(-10, 10))
+    security = om.Security({"branches": ["ab", "bc"]}, "preventive", rating=3)
+    plan = om.MultiStage(made, 1, security=security).solve(initial={"e": [60.0, 10.0], "pg": [80, 40, 20]})
+    assert plan.optimal

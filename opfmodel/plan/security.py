@@ -175,8 +175,10 @@ class Security:
             and not (name in model.states and model.states[name].role == "stock")
         ]  # fmt: skip
         for name, published in decided:
-            table = network.tables[published.kind]
-            kept = np.array([i for i, n in enumerate(table.names) if n not in lost], dtype=np.intp)
+            table, block = network.tables[published.kind], model.build.variables[name]
+            moves = (block.spread(block.lower) < block.spread(block.upper)).any(axis=1)
+            left = np.array([n not in lost for n in table.names], dtype=bool)
+            kept = np.flatnonzero(np.asarray(moves) & left)
             if name == "qg" or not kept.size:
                 continue
             change = published.values[kept][:, nodes] - published.values[kept][:, before]
