@@ -9,7 +9,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SECONDS ?= 300
-PARALLEL ?= -n auto --maxprocesses 4
+PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
 
 .PHONY: run test test-slow fuzz check table bench generated pglib clean
 
