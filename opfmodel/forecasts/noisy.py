@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.signal import lfilter
 
 from opfmodel.data.calendar import Calendar
 from opfmodel.data.series import Profiles, SeriesKey
@@ -99,6 +98,8 @@ class Noisy(Forecast):
 
     def _error(self, entropy: list[int], shape: tuple[int, int], share: float) -> Array:
         """Return relative errors with a share of the variance, over the second axis."""
+        from scipy.signal import lfilter  # a large module, for this forecast alone
+
         if not share:
             return np.zeros(shape)
         shocks = math.sqrt(share) * self.deviation * np.random.default_rng(entropy).standard_normal(shape)
