@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="watches process
 
 SEED = 20261125
 FAST = {"scenario": 80, "network": 80, "table": 60, "study": 50, "record": 80, "result": 25, "override": 80}
-SLOW = dict.fromkeys(KINDS, 200) | {"pandapower": 80, "pypsa": 60, "result": 40}
+SLOW = dict.fromkeys(KINDS, 120) | {"pandapower": 80, "pypsa": 60, "result": 40}
 FOUND = sorted((Path(__file__).parent / "found").glob("*/case.json"))
 
 
