@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -14,6 +15,7 @@ from conftest import DATA, SCENARIOS
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
+from opfmodel.network.cases.pandapower.write import write_pandapower
 
 CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m")])
 
@@ -38,6 +40,27 @@ def test_storage_survives_a_round_trip(tmp_path: Path) -> None:
     )  # fmt: skip
     again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
     assert again.storage5.resolved() == network.storage5
+
+
+def test_emergency_ratings_are_those_of_the_file_and_survive_a_round_trip(tmp_path: Path) -> None:
+    text = (DATA / "matpower" / "case9.m").read_text()
+    rows = re.findall(r"^\t\d.*;$", text[text.index("mpc.branch") :], re.MULTILINE)[:3]
+    plain = om.read_network(DATA / "matpower" / "case9.m")  # whose ratings B and C equal A
+    assert {branch.emergency_rating for branch in plain.of(om.Branch).values()} == {None}
+    for row, (second, third) in zip(rows, [(300, 0), (300, 350), (0, 0)], strict=False):
+        cells = row.split("\t")
+        assert cells[6] == cells[7] == cells[8]
+        cells[7:9] = [str(second), str(third)]
+        text = text.replace(row, "\t".join(cells), 1)
+    (tmp_path / "case9.m").write_text(text)
+    network = om.read_network(tmp_path / "case9.m")
+    found = [branch.emergency_rating for branch in network.of(om.Branch).values()]
+    assert found[:3] == [300, 350, None]
+    assert found[3:] == [branch.rating for branch in network.of(om.Branch).values()][3:]
+    again = om.read_network(om.write_network(network, tmp_path / "copy.m"))
+    assert again.of(om.Branch) == network.of(om.Branch)
+    with pytest.raises(CaseError, match=r"emergency ratings of 1-4, 4-5"):
+        write_pandapower(network, tmp_path / "copy.json")
 
 
 def test_numpy_numbers_are_written_as_plain_numbers(tmp_path: Path) -> None:

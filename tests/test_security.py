@@ -182,6 +182,52 @@ def test_the_price_of_demand_includes_the_cost_of_security() -> None:
     assert np.abs(plan.data["lmp"].sel(bus="d").values - free).max() > 1.0
 
 
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_an_emergency_rating_takes_the_place_of_the_multiple(formulation: str) -> None:
+    horizon, stated = om.Horizon.chain(2), grid()
+    for name, branch in grid().of(om.Branch).items():
+        stated.update(name, emergency_rating=1.15 * branch.rating)
+    options = {"formulation": formulation, "profiles": demand(2), "options": {"tol": 1e-10}}
+    state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
+
+    def cost(network: om.Network, rating: float) -> float:
+        security = om.Security(minutes=30, rating=rating)
+        problem = om.MultiStage(network, horizon, security=security, solver="ipopt", **options)
+        return problem.solve(initial=state).objective
+
+    multiple = cost(grid(), 1.15)
+    assert cost(stated, 9.0) == pytest.approx(multiple, rel=1e-8)
+    assert cost(grid(), 9.0) < multiple - 1.0
+
+
+def test_the_price_of_a_rating_leaves_emergency_ratings_out() -> None:
+    def plan(change: float) -> om.Plan:
+        made = grid()
+        made.update("ab", rating=62.0 + change)
+        for name in ("ab", "bc", "ac"):
+            made.update(name, emergency_rating=97.0)
+        security = om.Security(minutes=30)
+        problem = om.MultiStage(
+            made, 1, profiles=demand(1), security=security, regularisation=0.0, options={"tol": 1e-10}
+        )
+        return problem.solve(initial={"e": [0.0, 0.0]})
+
+    price = plan(0.0).data["rating_price"].sel(branch="ab").item()
+    slope = (plan(-0.01).objective - plan(0.01).objective) / 0.02
+    assert price > 1.0
+    assert price == pytest.approx(slope, rel=1e-3)
+
+
+def test_outages_of_a_horizon() -> None:
+    secured = om.Horizon.chain(2).without(["ab"]).with_contingencies([(0, ("bc",)), (1, ("ac",))], 15)
+    assert secured.out == (("ab",), ("ab",), ("ab", "bc"), ("ab", "ac"))
+    assert secured.contingencies.tolist() == [2, 3]
+    assert [secured.outage(node) for node in secured.contingencies] == [("bc",), ("ac",)]
+    assert secured.regular.out == (("ab",), ("ab",))
+    assert om.Horizon.chain(2).without([]).out == ()
+    assert str(secured) == "2 stages of 1 h with 2 contingencies"
+
+
 def test_a_warm_start_moves_contingencies_with_their_stages() -> None:
     security = om.Security(minutes=30, rating=1.15)
     problem = om.MultiStage(grid(), 4, profiles=demand(8), security=security)

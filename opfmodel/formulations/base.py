@@ -184,11 +184,13 @@ def price_rating(model: Model, members: Index, read: Callable[[Solution, PerUnit
         price = np.zeros((len(network.branch), limited.shape[1]))
         price[members] = limited
         rating = network.branch.rating
-        for node in model.horizon.contingencies:  # whose ratings are multiples of those of their owners
+        own = np.broadcast_to(~np.isfinite(network.branch.emergency_rating), rating.shape)
+        for node in model.horizon.contingencies:  # with a multiple of the rating, or an emergency rating
             owner = model.horizon.owner[node]
             with np.errstate(invalid="ignore", divide="ignore"):
                 multiple = rating[members, node] / rating[members, owner]
-            price[members, owner] += np.where(np.isfinite(multiple), multiple, 0.0) * price[members, node]
+            counts = np.isfinite(multiple) & own[members, node]
+            price[members, owner] += np.where(counts, multiple, 0.0) * price[members, node]
         return price
 
     model.price("branch", "rating_price", spread, "$/MWh", "value of one more MVA of rating")

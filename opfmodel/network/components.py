@@ -70,6 +70,14 @@ class Branch(Component):
         finite=False,
         description="Maximum apparent power at both ends; none for no limit.",
     )
+    emergency_rating: float | None = number(
+        "MVA",
+        None,
+        at_least=0.0,
+        optional=True,
+        over="min",
+        description="Maximum for a short time after an outage; by default a multiple of the rating.",
+    )
     tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False, description="Transformer ratio.")
     shift: float = number("deg", 0.0, series=False, description="Phase shift of the transformer.")
     angle: tuple[float, float] = span(

@@ -60,7 +60,7 @@ class Plan:
         self.request = request
         self.model = model
         self._whole = network  # with the data of contingencies
-        self.network = network.first(len(request.horizon.regular)) if request.horizon.out else network
+        self.network = network.first(len(request.horizon.regular)) if request.horizon.contingent else network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
@@ -148,7 +148,7 @@ class Plan:
     @property
     def _nodes(self) -> Horizon:
         """The nodes of the plan with contingencies."""
-        return self.request.horizon if self.request.horizon.out else self.horizon
+        return self.request.horizon if self.request.horizon.contingent else self.horizon
 
     @cached_property
     def stage(self) -> NumericStage:
@@ -332,7 +332,7 @@ class Plan:
         in degrees: the relaxation is exact if both vanish. Empty for formulations that relax
         nothing, for secure plans, and for plans that are not optimal.
         """
-        if not self.optimal or self.request.horizon.out:
+        if not self.optimal or self.request.horizon.contingent:
             return {}
         return self.problem.formulation.relaxation(self.solution, self.network)
 

@@ -71,7 +71,7 @@ class Security:
         Weight of each unit in the slack of a preventive response, by name; others do not participate. By
         default ``Generator.participation``, or the capacity.
     rating
-        Multiple of the rating of a branch that applies after an outage.
+        Multiple of the rating of a branch that applies after an outage, if it has no emergency rating.
     """
 
     contingencies: Literal["all"] | Mapping[str, Sequence[str]] = "all"
@@ -249,6 +249,20 @@ def outage_fields(
     return list(dict.fromkeys(fields))
 
 
+def _rating_after(
+    series: Mapping[tuple[str, str], Array],
+    security: Security,
+    rating: Array,
+    horizon: Horizon,
+    network: PerUnitNetwork,
+) -> Array:
+    """Return the ratings in contingencies: the emergency rating, or a multiple of the rating."""
+    after = horizon.contingencies
+    stated = series.get(("branch", "emergency_rating"), network.branch.emergency_rating)
+    stated = np.broadcast_to(stated, rating.shape)[:, after]
+    return np.where(np.isfinite(stated), stated, security.rating * rating[:, after])
+
+
 def at_contingencies(
     series: Mapping[tuple[str, str], Array], security: Security, horizon: Horizon, network: PerUnitNetwork
 ) -> Fields:
@@ -259,7 +273,7 @@ def at_contingencies(
         values = series.get((kind, field), table.arrays[field])
         values = np.array(np.broadcast_to(values, (len(table), len(horizon))))
         if field == "rating":
-            values[:, horizon.contingencies] *= security.rating
+            values[:, horizon.contingencies] = _rating_after(series, security, values, horizon, network)
         if security.response == "preventive" and (kind, field) in _HELD:
             values[:, horizon.contingencies] = _HELD[kind, field]
         for node in horizon.contingencies:

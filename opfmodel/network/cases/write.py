@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,12 +71,14 @@ def tables_of(network: Network, ids: Mapping[str, int]) -> dict[str, Any]:
         Number of each bus.
     """
     buses, generators = network.of(Bus), network.of(Generator).values()
+    branches = network.of(Branch).values()
+    stated = any(branch.emergency_rating is not None for branch in branches)
     return {
         "version": 2,
         "baseMVA": network.base_mva,
         "bus": _bus_rows(network, ids),
         "gen": [_generator_row(g, buses, ids, network.base_mva) for g in generators],
-        "branch": [_branch_row(b, ids) for b in network.of(Branch).values()],
+        "branch": [_branch_row(b, ids, stated) for b in branches],
         "gencost": _cost_rows(generators),
     }
 
@@ -91,10 +93,9 @@ def find_losses(network: Network, losses: Losses) -> None:
     idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
     if idle:
         losses.add(f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
-    for name, b in network.of(Branch).items():
-        if b.g or b.g_from or b.g_to or b.b_from != b.b_to:
-            shunts = "branch shunt conductance or uneven charging"
-            losses.add(f"{name}: MATPOWER has no {shunts}; they are left out")
+    for name, branch in network.of(Branch).items():
+        for loss in _losses_of(branch):
+            losses.add(f"{name}: {loss}")
     for name, storage in network.of(Storage).items():
         if storage.standing_loss or storage.energy_min:
             losses.add(f"{name}: standing_loss and energy_min are left out")
@@ -109,6 +110,13 @@ def find_losses(network: Network, losses: Losses) -> None:
             )
         if generator.participation is not None:
             losses.add(f"{name}: participation is left out")
+
+
+def _losses_of(branch: Branch) -> Iterator[str]:
+    if branch.g or branch.g_from or branch.g_to or branch.b_from != branch.b_to:
+        yield "MATPOWER has no branch shunt conductance or uneven charging; they are left out"
+    if branch.emergency_rating == 0:
+        yield "emergency_rating = 0: MATPOWER's 0 means that none is stated"
 
 
 def _regulated(network: Network) -> dict[str, bool]:
@@ -162,10 +170,12 @@ def _set_point(stated: float | None, default: float, limits: tuple[float, float]
     return min(max(default, limits[0]), limits[1]) if stated is None else stated
 
 
-def _branch_row(branch: Branch, ids: Mapping[str, int]) -> list[float]:
+def _branch_row(branch: Branch, ids: Mapping[str, int], stated: bool) -> list[float]:
+    """Return the row of a branch, in a case that states emergency ratings or repeats the rating for them."""
     rating = 0.0 if branch.rating is None else branch.rating
+    emergency = (branch.emergency_rating or 0.0) if stated else rating
     charging = branch.b + 2 * min(branch.b_from, branch.b_to, key=abs)
-    row = [ids[branch.from_bus], ids[branch.to_bus], branch.r, branch.x, charging, rating, rating, rating]
+    row = [ids[branch.from_bus], ids[branch.to_bus], branch.r, branch.x, charging, rating, *[emergency] * 2]
     ratio = 0.0 if branch.tap == 1 and branch.shift == 0 else branch.tap
     return [*row, ratio, branch.shift, float(branch.in_service), *branch.angle]
 

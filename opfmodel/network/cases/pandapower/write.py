@@ -79,6 +79,9 @@ def _unsupported(network: Network) -> Iterator[str]:
     ]
     if limited:
         yield f"angle limits of {listed(limited)}"
+    emergency = [n for n, c in running.items() if isinstance(c, Branch) and c.emergency_rating is not None]
+    if emergency:
+        yield f"emergency ratings of {listed(emergency)}"
     ramping = [n for n, c in running.items() if isinstance(c, Generator) and c.ramp is not None]
     if ramping:
         yield f"ramps of {listed(ramping)}"

@@ -95,6 +95,12 @@ class Reader:
             )
 
     def _branches(self) -> None:
+        emergency = [record["rate_c"] or record["rate_b"] or None for record in self.case.branches]
+        if all(
+            given in (None, record["rate_a"])
+            for given, record in zip(emergency, self.case.branches, strict=True)
+        ):
+            emergency = [None] * len(emergency)  # copies of the rating state nothing
         for row, record in enumerate(self.case.branches):
             charging = record["b_fr"] + record["b_to"]
             even = record["b_fr"] == record["b_to"]
@@ -111,6 +117,7 @@ class Reader:
                     g_from=record["g_fr"],
                     g_to=record["g_to"],
                     rating=record["rate_a"] or None,
+                    emergency_rating=emergency[row],
                     tap=record["tap"] or 1.0,
                     shift=record["shift"],
                     angle=_angles(record["angmin"], record["angmax"]),
