@@ -47,6 +47,10 @@ from .plan import (
     Risk as Risk,
     Security as Security,
 )
+from .plan.assessment import (
+    Assessment as Assessment,
+    assess as assess,
+)
 from .plan.power_flow import (
     PowerFlowResult as PowerFlowResult,
     power_flow as power_flow,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import extensive
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 import xarray as xr
 
 import opfmodel as om
+from opfmodel.cli.app import app
 from opfmodel.errors import IncompatibleError, ScenarioError, SecurityError
 from opfmodel.plan.security import splitting
 
@@ -340,6 +343,136 @@ def test_errors_in_a_scenario(key: str, value: object, message: str) -> None:
         om.load_scenario(CASE5, overrides={**SHORT, "controller.security": {key: value}})
 
 
+# Which outages are not survived --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("response", ["corrective", "preventive"])
+@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"])
+def test_a_secure_plan_survives_and_another_does_not(formulation: str, response: str) -> None:
+    out = {"branches": ["ab", "bc", "ac"], "storages": ["cell"]}
+    horizon = HORIZONS["tree"]
+    security = om.Security(out, response, minutes=30, rating=1.15 if response == "corrective" else 1.3)
+    options = {"formulation": formulation, "profiles": demand(4)}
+    problems = [om.MultiStage(grid(), horizon, security=chosen, **options) for chosen in (None, security)]
+    state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
+    free, secured = (problem.solve(initial=state) for problem in problems)
+    found = om.assess(free, security)
+    assert not found.secure
+    assert len(found.outcomes) == 4 * len(horizon)
+    assert [outcome.stage for outcome in found.outcomes] == sorted(o.stage for o in found.outcomes)
+    assert {o.status for o in found.outcomes} <= {"secure", "violated"}
+    assert {o.scenario for o in found.violated} <= {"", "low", "high"}
+    assert om.assess(secured).secure
+    (bridge,) = found.islanding
+    assert (bridge.out, bridge.generation_mw) == ("cd", 0.0)
+    assert bridge.load_mw == pytest.approx(demand(4)["farm.p"].max())
+
+
+@pytest.mark.parametrize("formulation", ["ac", "dc"])
+def test_an_outage_is_survived_if_the_dispatch_can_be_kept_in_a_secure_plan(formulation: str) -> None:
+    """Outage by outage, against the secure problem with the dispatch of the plan imposed on it."""
+    horizon = om.Horizon.chain(2)
+    state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
+    options = {"formulation": formulation, "profiles": demand(2)}
+    free = om.MultiStage(grid(), horizon, **options).solve(initial=state)
+    power = free.data["pg"].values
+    statuses = set()
+    for out in ("ab", "bc", "ac"):
+        security = om.Security({"branches": [out]}, minutes=30, rating=1.15)
+        problem = om.MultiStage(grid(), horizon, security=security, **options)
+        for k, unit in enumerate(("coal", "gas")):
+            keep = lambda s, k=k: s.generator.pg[k]  # noqa: E731
+            problem.constrain(unit, keep, at_least=power[:, k] - 1e-3, at_most=power[:, k] + 1e-3)
+        possible = problem.solve(initial=state).optimal
+        assert om.assess(free, security).secure == possible
+        statuses.add(possible)
+    assert statuses == {True, False}
+
+
+def test_what_is_lacking_after_an_outage_is_named() -> None:
+    free = solved(om.Horizon.chain(3), None)
+    found = om.assess(free, om.Security({"branches": ["ab"]}, minutes=30, rating=1.15))
+    worst = found.violated[0].worst
+    assert worst is not None
+    assert (worst.kind, worst.name, worst.quantity, worst.unit) == ("generator", "gas", "ramp", "MW")
+    assert worst.text.endswith("at hour 2 after the outage of ab")
+    plain = found.as_dict()
+    assert plain["secure"] is False
+    assert plain["contingencies"][2]["worst"] == {
+        "kind": "generator", "name": "gas", "quantity": "ramp", "value": worst.value, "unit": "MW"
+    }  # fmt: skip
+
+
+def test_a_power_flow_can_be_assessed() -> None:
+    made = grid()
+    made.update("coal", pg_set=70, vm_set=1.02)
+    made.update("gas", pg_set=67, vm_set=1.02)
+    made.update("town", p=70)
+    flow = om.power_flow(made)
+    assert om.assess(flow, om.Security(response="preventive", rating=2)).secure
+    found = om.assess(flow, om.Security(response="preventive", rating=0.6))
+    assert {outcome.out for outcome in found.violated} >= {"ab"}
+
+
+def test_what_cannot_be_assessed_is_refused() -> None:
+    problem = om.MultiStage(grid(), profiles={"town.p": [900.0]})
+    with pytest.raises(om.OpfmodelError, match="there is nothing to assess"):
+        om.assess(problem.solve())
+    with pytest.raises(IncompatibleError, match="'dc-losses'"):
+        om.assess(om.MultiStage(grid(), formulation="dc-losses").solve())
+
+
+def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    code = app(["security", *map(str, arguments)], standalone_mode=False)
+    return code, capsys.readouterr().out
+
+
+def test_the_command_lists_the_outages_that_are_not_survived(capsys: pytest.CaptureFixture[str]) -> None:
+    short = [text for key, value in SHORT.items() for text in ("--set", f"{key}={value}")]
+    code, text = command(capsys, CASE5, *short, "--json")
+    made = json.loads(text)
+    assert code == 1
+    assert not made["secure"]
+    assert made["response"] == "corrective"
+    assert len(made["contingencies"]) == 12
+    assert {c["status"] for c in made["contingencies"]} == {"secure", "violated"}
+    code, text = command(capsys, CASE5, *short)
+    assert code == 1
+    assert "after the outage of 1-5" in text
+    code, text = command(capsys, CASE5, *short, "--rating", "9", "--json")
+    assert (code, json.loads(text)["secure"]) == (0, True)
+
+
+def test_the_command_assesses_the_dispatch_of_a_network_file(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text = command(capsys, "tests/data/pglib/pglib_opf_case14_ieee.m", "--json")
+    made = json.loads(text)
+    assert code == 1
+    assert [c["out"] for c in made["contingencies"] if c["status"] == "violated"] == ["1-2"]
+    assert made["islanding"] == [{"out": "7-8", "load_mw": 0.0, "generation_mw": 0.0}]
+
+
+def test_the_command_says_why_there_is_nothing_to_assess(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    om.write_network(overloaded(), tmp_path / "one.m")
+    code, text = command(capsys, tmp_path / "one.m", "--json")
+    made = json.loads(text)
+    assert (code, made["secure"], made["contingencies"]) == (1, False, [])
+    assert made["failure"] == "the power flow at the set-points of the file diverged"
+    code, text = command(capsys, tmp_path / "one.m")
+    assert (code, "diverged" in text) == (1, True)
+
+
+def overloaded() -> om.Network:
+    made = om.Network("one")
+    made.add("1", om.Bus(reference=True))
+    made.add("2", om.Bus())
+    made.add("1-2", om.Branch("1", "2", r=0.01, x=0.5))
+    made.add("coal", om.Generator("1", p=(0, 900)))
+    made.add("town", om.Load("2", p=800))
+    return made
+
+
 # Against another tool -------------------------------------------------------------------------------------
 
 
@@ -356,12 +489,16 @@ def test_power_flows_of_pandapower_after_every_outage_are_within_limits(rating: 
     free = om.MultiStage(grid, 1, profiles=made.profiles, objective=made.cost).solve(
         initial={"e": [100.0] * 5}
     )
-    assert _excess(grid, free.data.isel(time=0), rating) > 1.0  # MVA: without security some outage overloads
-    assert _excess(grid, data, rating) < 1e-3  # 1e-5 p.u.
+    without = _excess(grid, free.data.isel(time=0), rating)
+    assert max(without.values()) > 1.0  # MVA: some outage overloads
+    assert max(_excess(grid, data, rating).values()) < 1e-3  # 1e-5 p.u.
+    found = {outcome.out: outcome.status for outcome in om.assess(free, security).outcomes}
+    assert found == {out: "violated" if most > 1e-3 else "secure" for out, most in without.items() if out}
+    assert om.assess(plan).secure
 
 
-def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> float:
-    """The most by which any outage exceeds a limit, in MVA or in p.u. times 100, by pandapower."""
+def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> dict[str | None, float]:
+    """The most by which each outage exceeds a limit, in MVA or in p.u. times 100, by pandapower."""
     net = pp.create_empty_network(sn_mva=grid.base_mva)
     at = {name: pp.create_bus(net, 1.0) for name in grid.of(om.Bus)}
     for name, bus in at.items():
@@ -380,8 +517,9 @@ def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> float:
             net, at[unit.bus], data["pg"].sel(generator=name).item(), data["vm"].sel(bus=unit.bus).item(),
             slack=grid[unit.bus].reference, slack_weight=unit.p[1],
         )  # fmt: skip
-    worst = 0.0
+    found = {}
     for out in (None, *net.line.index):
+        worst = 0.0
         net.line["in_service"] = net.line.index != out
         pp.runpp(net, distributed_slack=True, tolerance_mva=1e-9, calculate_voltage_angles=True)
         flows, units = net.res_line, net.res_gen
@@ -394,7 +532,8 @@ def _excess(grid: om.Network, data: xr.Dataset, rating: float) -> float:
         low, high = np.array([bus.vm for bus in grid.of(om.Bus).values()]).T
         vm = net.res_bus.vm_pu
         worst = max(worst, 100 * (low - vm).max(), 100 * (vm - high).max())
-    return float(worst)
+        found[None if out is None else list(grid.of(om.Branch))[out]] = float(worst)
+    return found
 
 
 # What an outage must not do -------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, powerflow, run, schema, solve, study
+from opfmodel.cli import convert, inspect, look, powerflow, run, schema, security, solve, study
 from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
 from opfmodel.errors import Fault, OpfmodelError, shown
 
@@ -26,6 +26,7 @@ app = typer.Typer(
 )
 app.command("solve")(solve.solve)
 app.command("powerflow")(powerflow.powerflow)
+app.command("security")(security.security)
 app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)

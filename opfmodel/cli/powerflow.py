@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from opfmodel.network import Network
     from opfmodel.plan.power_flow_result import PowerFlowResult
 
-__all__ = ["powerflow"]
+__all__ = ["network_of", "powerflow"]
 
 _SHOWN = 5  # rows of each table
 
@@ -48,7 +48,7 @@ def powerflow(
     from opfmodel.plan.power_flow import power_flow
     from opfmodel.results import save
 
-    network, profiles = _network(file, lossy, variant, set_)
+    network, profiles = network_of(file, lossy, variant, set_)
     flow = power_flow(network, slack=slack, enforce_q_limits=enforce_q_limits, profiles=profiles, step=step)
     summary = flow.summary()
     if out is not None:
@@ -62,7 +62,7 @@ def powerflow(
     return 0 if flow.converged else 1
 
 
-def _network(
+def network_of(
     file: Path, lossy: bool, variant: str | None, overrides: list[str] | None
 ) -> tuple[Network, Profiles | None]:
     """Return the network of a file, and the time series of a scenario."""

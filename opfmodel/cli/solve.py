@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from opfmodel.plan import Plan
     from opfmodel.simulation import Controller
 
-__all__ = ["solve"]
+__all__ = ["controller_of", "solve"]
 
 
 def solve(
@@ -53,7 +53,7 @@ def solve(
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
     with solver_output(verbose):
-        controller, initial = _controller(
+        controller, initial = controller_of(
             file, {k: v for k, v in chosen.items() if v is not None}, default_cost, lossy, variant, set_
         )
         problem = controller.problem
@@ -107,7 +107,7 @@ def _verified(controller: Controller, plan: Plan) -> Report:
     return max(reports, key=lambda report: report.max_violation)
 
 
-def _controller(
+def controller_of(
     file: Path,
     chosen: Mapping[str, Any],
     default_cost: float | None,

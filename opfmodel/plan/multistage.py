@@ -172,7 +172,7 @@ class MultiStage:
         self.security = security
         if security is not None:
             self._check_secured(elastic)
-            self.horizon = security.secured(self.horizon, self._peak())
+            self.horizon = security.secured(self.horizon, self.peak)
             states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
             check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
         self.objective = Economic() if objective is None else objective
@@ -244,7 +244,7 @@ class MultiStage:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the network and its formulation: components left out, and choices made for it."""
-        own = () if self.security is None else self.security.notes(self._peak())
+        own = () if self.security is None else self.security.notes(self.peak)
         return (*self.arrays.notes, *self.formulation.notes(self.arrays), *own)
 
     def _check_secured(self, elastic: Elastic | None) -> None:
@@ -260,7 +260,8 @@ class MultiStage:
                 "nothing and would absorb any power; use ac, soc or dc"
             )
 
-    def _peak(self) -> PerUnitNetwork:
+    @property
+    def peak(self) -> PerUnitNetwork:
         """The arrays of the network with the series from their beginning to their end."""
         steps = self.profiles.length
         return self.arrays.with_series(window(self.profiles, self.arrays, 0, steps)) if steps else self.arrays
@@ -360,6 +361,14 @@ class MultiStage:
         twin.horizon = self.horizon if horizon is None else horizon
         twin.objective = self.objective if objective is None else objective
         return twin
+
+    def contingency_problem(self, security: Security, out: str) -> MultiStage:
+        """Return the problem of one stage and one outage after it, with soft limits and no other cost."""
+        after = Horizon.chain(1, self.step).with_contingencies([(0, (out,))], security.response_minutes)
+        alone = self.variant(elastic=Elastic(), objective=Nothing(self.objective), horizon=after)
+        alone._check_secured(alone.elastic)
+        alone.security, alone.risk, alone.constraints = security, None, {}
+        return alone
 
     def is_variant_of(self, other: MultiStage) -> bool:
         """Return whether this is the other problem, or a :meth:`variant` of the same one."""

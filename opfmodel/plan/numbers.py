@@ -108,8 +108,14 @@ class Numbers:
             self.parameters[f"{name}_end_price"] = np.array([price])
 
     def limit(self, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike) -> None:
-        """Set the bounds of a block; they broadcast to the items and the stages of the plan."""
+        """Set the bounds of a block; they broadcast to the items and the stages of the plan.
+
+        Entries that are NaN leave a bound as it is.
+        """
         low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        if np.isnan(low).any() or np.isnan(high).any():
+            known = self._bounds(name)
+            low, high = np.where(np.isnan(low), known[0], low), np.where(np.isnan(high), known[1], high)
         if self.begin and (low.ndim or high.ndim):
             every = self._bounds(name)
             every[0][:, self.begin :], every[1][:, self.begin :] = low, high

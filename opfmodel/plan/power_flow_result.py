@@ -74,6 +74,15 @@ class PowerFlowResult:
         }
         return made
 
+    @property
+    def arrays(self) -> PerUnitNetwork:
+        """Arrays of the network at the step of the power flow."""
+        return self._arrays
+
+    def per_unit(self) -> dict[str, Array]:
+        """Return the quantities in per unit by name, one value per component."""
+        return {name: values[:, 0] for name, (*_, values) in self._quantities.items()}
+
     @cached_property
     def loading(self) -> xr.DataArray:
         """Apparent power at the more loaded end of each branch, % of its rating; NaN without a rating."""

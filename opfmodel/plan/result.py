@@ -41,6 +41,8 @@ class Plan:
     ----------
     model, network
         The declarations, and the arrays of the network with the series of the window.
+    whole
+        The same arrays with the data of contingencies, which follow those of the stages.
     solution
         The certified solution of the program.
     request
@@ -59,7 +61,7 @@ class Plan:
         self.solution = solution
         self.request = request
         self.model = model
-        self._whole = network  # with the data of contingencies
+        self.whole = network
         self.network = network.first(len(request.horizon.regular)) if request.horizon.contingent else network
 
     def __repr__(self) -> str:
@@ -68,7 +70,7 @@ class Plan:
 
     def with_solution(self, problem: MultiStage, solution: Solution) -> Plan:
         """Return the same plan with another record of its solution, as the plan of another problem."""
-        return Plan(problem, self.model, solution, self._whole, self.request)
+        return Plan(problem, self.model, solution, self.whole, self.request)
 
     @property
     def time(self) -> int:
@@ -206,7 +208,7 @@ class Plan:
             return ()
         slacks = self.model.slacks.values()
         times = self.problem.times(self.time, self._nodes)
-        return shortages(slacks, shortfall_due(self), self._whole, prices, self._nodes, times)
+        return shortages(slacks, shortfall_due(self), self.whole, prices, self._nodes, times)
 
     @property
     def penalty(self) -> float:
@@ -317,7 +319,7 @@ class Plan:
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        values = self.model.prices[name].values(self.solution, self._whole, self._nodes)
+        values = self.model.prices[name].values(self.solution, self.whole, self._nodes)
         return self._regular(values)
 
     def prices(self) -> dict[tuple[str, str], Array]:

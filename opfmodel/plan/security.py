@@ -20,7 +20,7 @@ from opfmodel.network.network import name_pattern
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
 
-__all__ = ["Security", "at_contingencies", "outage_fields", "splitting"]
+__all__ = ["Security", "at_contingencies", "cut_off", "outage_fields", "splitting"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -155,8 +155,13 @@ class Security:
         """Return a horizon with a contingency after every node for every outage."""
         names = self.outages(network)
         nodes = range(len(horizon.regular))
-        minutes = self.minutes if self.response == "corrective" else _AT_ONCE
-        return horizon.with_contingencies([(node, (name,)) for node in nodes for name in names], minutes)
+        after = [(node, (name,)) for node in nodes for name in names]
+        return horizon.with_contingencies(after, self.response_minutes)
+
+    @property
+    def response_minutes(self) -> float:
+        """Time in which units move; a preventive response takes none."""
+        return self.minutes if self.response == "corrective" else _AT_ONCE
 
     def hold(self, model: Model) -> None:
         """State in a model what a preventive response leaves as it was before the outage."""
@@ -212,9 +217,14 @@ def _alike(horizon: Horizon, network: PerUnitNetwork) -> list[tuple[frozenset[st
 
 
 def splitting(network: PerUnitNetwork) -> dict[str, float]:
-    """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW.
+    """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW."""
+    return {name: load for name, load, _ in cut_off(network)}
 
-    That of the part of the island without the reference bus.
+
+def cut_off(network: PerUnitNetwork) -> list[tuple[str, float, float]]:
+    """Return each branch whose outage splits the grid, with peak demand and capacity that it cuts off, MW.
+
+    Those of the part of the island without the reference bus.
     """
     branch = network.branch
     graph = nx.Graph()
@@ -222,8 +232,12 @@ def splitting(network: PerUnitNetwork) -> dict[str, float]:
     ends = list(zip(branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True))
     graph.add_edges_from(ends)
     pairs = [frozenset(pair) for pair in ends]
-    demand = network.at_buses("load", network.load.p).max(axis=1) * network.base_mva
-    made = {}
+    at_buses = (
+        network.at_buses(kind, values).max(axis=1) * network.base_mva
+        for kind, values in (("load", network.load.p), ("generator", network.generator.p_max))
+    )
+    demand, capacity = at_buses
+    made = []
     for bridge in list(nx.bridges(graph)):
         of = [number for number, pair in enumerate(pairs) if pair == frozenset(bridge)]
         if len(of) > 1:
@@ -232,7 +246,8 @@ def splitting(network: PerUnitNetwork) -> dict[str, float]:
         parts = [nx.node_connected_component(graph, bus) for bus in bridge]
         cut = next((part for part in parts if not part & set(network.reference.tolist())), parts[-1])
         graph.add_edge(*bridge)
-        made[branch.names[of[0]]] = float(demand[list(cut)].sum())
+        lost = list(cut)
+        made.append((branch.names[of[0]], float(demand[lost].sum()), float(capacity[lost].sum())))
     return made
 
 
