@@ -369,12 +369,14 @@ def expected(case: dict) -> dict:
             add(f"load{number}", om.Load(number, p=b[2], q=b[3], in_service=b[1] != 4))
         if b[4] or b[5]:
             add(f"shunt{number}", om.Shunt(number, g=b[4], b=b[5], in_service=b[1] != 4))
-    for r in case["mpc.branch"]:
+    stated = [next((v for v in (r[7], r[6]) if v and v != float("inf")), None) for r in case["mpc.branch"]]
+    repeated = all(value in (None, r[5]) for value, r in zip(stated, case["mpc.branch"], strict=True))
+    for r, emergency in zip(case["mpc.branch"], stated, strict=True):
         ends = [f"{n:.15g}" for n in r[:2]]
         angle = (-360.0, 360.0) if r[11] == r[12] == 0 else (r[11], r[12])
         add(
             "-".join(ends),
-            om.Branch(*ends, r=r[2], x=r[3], b=r[4], rating=r[5] or None, tap=r[8] or 1.0, shift=r[9], angle=angle,
+            om.Branch(*ends, r=r[2], x=r[3], b=r[4], rating=r[5] or None, emergency_rating=None if repeated else emergency, tap=r[8] or 1.0, shift=r[9], angle=angle,
                       in_service=r[10] != 0),
         )  # fmt: skip
     load_buses = {b[0] for b in case["mpc.bus"] if b[1] == 1}

@@ -95,11 +95,9 @@ class Reader:
             )
 
     def _branches(self) -> None:
-        emergency = [record["rate_c"] or record["rate_b"] or None for record in self.case.branches]
-        if all(
-            given in (None, record["rate_a"])
-            for given, record in zip(emergency, self.case.branches, strict=True)
-        ):
+        emergency = [_emergency(record) for record in self.case.branches]
+        ratings = [record["rate_a"] for record in self.case.branches]
+        if all(given in (None, rating) for given, rating in zip(emergency, ratings, strict=True)):
             emergency = [None] * len(emergency)  # copies of the rating state nothing
         for row, record in enumerate(self.case.branches):
             charging = record["b_fr"] + record["b_to"]
@@ -218,6 +216,12 @@ class Reader:
             "storage",
             row,
         )
+
+
+def _emergency(record: Mapping[str, Any]) -> float | None:
+    """Return the third rating of a branch, else the second; 0 and infinity state none."""
+    stated = (record[key] for key in ("rate_c", "rate_b"))
+    return next((value for value in stated if value and value != math.inf), None)
 
 
 def _angles(low: float, high: float) -> tuple[float, float]:
