@@ -34,8 +34,6 @@ class Horizon:
     A contingency is the state of the grid a few minutes after an outage at the end of a node: a child of
     that node with its data, without probability and without children. Contingencies come last.
 
-    Components may be out of service in any node; in a contingency, those that its outage takes out as well.
-
     Attributes
     ----------
     parent
@@ -53,9 +51,7 @@ class Horizon:
     base
         Length of a base step, h: that of the time series and of the closed loop.
     out
-        Components out of service in each node; empty if there are none in any.
-    contingent
-        Number of contingencies.
+        Components out of service in each node; empty if there are no contingencies.
     varying
         Whether each solve may state other probabilities; see :meth:`with_probabilities`.
     """
@@ -69,7 +65,6 @@ class Horizon:
     base: float
     varying: bool = False
     out: tuple[tuple[str, ...], ...] = ()
-    contingent: int = 0
 
     # Making ------------------------------------------------------------------------------
 
@@ -185,10 +180,11 @@ class Horizon:
         >>> secured.parent.tolist(), secured.hours.tolist(), secured.leaves.tolist()
         ([-1, 0, 0, 1], [1.0, 1.0, 0.25, 0.25], [1])
         """
-        nodes, given = self.regular, list(outages)
+        given = list(outages)
+        if not given:
+            return self.regular
+        nodes = self.regular
         after = np.array([node for node, _ in given], dtype=np.intp)
-        before = nodes.out or ((),) * len(nodes)
-        out = (*before, *((*before[node], *names) for node, names in given))
         return replace(
             nodes,
             parent=np.concatenate([nodes.parent, after]),
@@ -197,20 +193,8 @@ class Horizon:
             step=np.concatenate([nodes.step, nodes.step[after]]),
             series=np.concatenate([nodes.series, nodes.series[after]]),
             scenario=(*nodes.scenario, *(nodes.scenario[node] for node in after)),
-            out=out if any(out) else (),
-            contingent=after.size,
+            out=(*((),) * len(nodes), *(names for _, names in given)),
         )
-
-    def without(self, names: Sequence[str]) -> Horizon:
-        """Return the nodes without contingencies, with components out of service in all of them.
-
-        Examples
-        --------
-        >>> Horizon.chain(2).without(["tie"]).out
-        (('tie',), ('tie',))
-        """
-        nodes = self.regular
-        return replace(nodes, out=(tuple(names),) * len(nodes) if names else ())
 
     def with_probabilities(self, scenarios: Sequence[float]) -> Self:
         """Return the same nodes with other probabilities of the scenarios, in the order of the leaves."""
@@ -224,8 +208,7 @@ class Horizon:
     def same_nodes(self, other: Horizon) -> bool:
         """Return whether another horizon differs in probabilities alone."""
         mine, theirs = (self.parent, self.hours, self.series), (other.parent, other.hours, other.series)
-        alike = (self.base, self.out, self.contingent) == (other.base, other.out, other.contingent)
-        return alike and all(map(np.array_equal, mine, theirs))
+        return (self.base, self.out) == (other.base, other.out) and all(map(np.array_equal, mine, theirs))
 
     # Structure ---------------------------------------------------------------------------
 
@@ -236,8 +219,8 @@ class Horizon:
         return f"Horizon({self})"
 
     def __str__(self) -> str:
-        if self.contingent:
-            return f"{self.regular} with {self.contingent} contingencies"
+        if self.contingencies.size:
+            return f"{self.regular} with {self.contingencies.size} contingencies"
         noun = "stage" if len(self) == 1 else "stages"
         if not self.is_chain:
             steps = f"{self.steps} steps of {self.base:g} h"
@@ -249,17 +232,16 @@ class Horizon:
     @cached_property
     def contingencies(self) -> Index:
         """Nodes that are contingencies; they come last."""
-        return np.arange(len(self) - self.contingent, len(self))
+        return np.flatnonzero([bool(names) for names in self.out])
 
     @cached_property
     def regular(self) -> Horizon:
         """The same horizon without contingencies."""
-        if not self.contingent:
+        count = len(self) - self.contingencies.size
+        if count == len(self):
             return self
-        count = len(self) - self.contingent
         parts = {name: getattr(self, name)[:count] for name in _OF_NODES}
-        out = self.out[:count]
-        return replace(self, **parts, out=out if any(out) else (), contingent=0)
+        return replace(self, **parts, out=())
 
     @cached_property
     def owner(self) -> Index:
@@ -387,18 +369,11 @@ class Horizon:
             ends = (self.step + self.lengths)[path]
             at = np.searchsorted(ends, self.step[path[:-1]] + steps, side="right")
             nodes[path[:-1]] = path[np.minimum(at, max(len(path) - 2, 0))]
-        known = {(int(self.owner[node]), self.outage(node)): node for node in self.contingencies}
+        known = {(int(self.owner[node]), self.out[node]): node for node in self.contingencies}
         for node in self.contingencies:
             owner = int(nodes[self.owner[node]])
-            nodes[node] = known.get((owner, self.outage(node)), owner)
+            nodes[node] = known.get((owner, self.out[node]), owner)
         return nodes
-
-    def outage(self, contingency: int) -> tuple[str, ...]:
-        """Return what the outage of a contingency takes out, beyond what was out before it."""
-        if not self.out:
-            return ()
-        before = self.out[self.owner[contingency]]
-        return tuple(name for name in self.out[contingency] if name not in before)
 
 
 def _lengths(hours: Sequence[float], step: float | None) -> tuple[Index, float]:

@@ -221,16 +221,6 @@ def test_the_price_of_a_rating_leaves_emergency_ratings_out() -> None:
     assert price == pytest.approx(slope, rel=1e-3)
 
 
-def test_outages_of_a_horizon() -> None:
-    secured = om.Horizon.chain(2).without(["ab"]).with_contingencies([(0, ("bc",)), (1, ("ac",))], 15)
-    assert secured.out == (("ab",), ("ab",), ("ab", "bc"), ("ab", "ac"))
-    assert secured.contingencies.tolist() == [2, 3]
-    assert [secured.outage(node) for node in secured.contingencies] == [("bc",), ("ac",)]
-    assert secured.regular.out == (("ab",), ("ab",))
-    assert om.Horizon.chain(2).without([]).out == ()
-    assert str(secured) == "2 stages of 1 h with 2 contingencies"
-
-
 def test_a_warm_start_moves_contingencies_with_their_stages() -> None:
     security = om.Security(minutes=30, rating=1.15)
     problem = om.MultiStage(grid(), 4, profiles=demand(8), security=security)
@@ -401,6 +391,17 @@ def test_what_is_lacking_after_an_outage_is_named() -> None:
     assert plain["contingencies"][2]["worst"] == {
         "kind": "generator", "name": "gas", "quantity": "ramp", "value": worst.value, "unit": "MW"
     }  # fmt: skip
+
+
+def test_a_plan_that_ends_with_the_data_can_be_assessed() -> None:
+    options = {"profiles": demand(4), "formulation": "dc"}
+    shrinking = om.MultiStage(grid(), 3, at_end="shrink", **options)
+    state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
+    short, usual = shrinking.solve(2, state), om.MultiStage(grid(), 2, **options).solve(2, state)
+    security = om.Security(minutes=30, rating=1.1)
+    found, other = (om.assess(plan, security) for plan in (short, usual))
+    assert [o[:4] for o in found.outcomes] == [o[:4] for o in other.outcomes]
+    assert not found.secure
 
 
 def test_a_power_flow_can_be_assessed() -> None:

@@ -9,15 +9,12 @@ import typer
 
 from opfmodel.cli.options import FILE, JSON, LOSSY, SET, VARIANT
 from opfmodel.cli.output import print_json, print_line, print_notes, print_pairs, print_table
-from opfmodel.cli.reading import is_scenario, read_network_file, read_scenario, refuse_lossy
-from opfmodel.errors import OpfmodelError
+from opfmodel.cli.reading import network_of
 
 if TYPE_CHECKING:
-    from opfmodel.data.series import Profiles
-    from opfmodel.network import Network
     from opfmodel.plan.power_flow_result import PowerFlowResult
 
-__all__ = ["network_of", "powerflow"]
+__all__ = ["powerflow"]
 
 _SHOWN = 5  # rows of each table
 
@@ -60,19 +57,6 @@ def powerflow(
         if out is not None:
             print_line(f"written to {out}")
     return 0 if flow.converged else 1
-
-
-def network_of(
-    file: Path, lossy: bool, variant: str | None, overrides: list[str] | None
-) -> tuple[Network, Profiles | None]:
-    """Return the network of a file, and the time series of a scenario."""
-    if is_scenario(file):
-        refuse_lossy(file, lossy)
-        scenario = read_scenario(file, variant, overrides)
-        return scenario.network, scenario.profiles
-    if variant is not None or overrides:
-        raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return read_network_file(file, default_cost=0.0, lossy=lossy), None  # costs play no part in it
 
 
 def _show(flow: PowerFlowResult) -> None:

@@ -11,12 +11,22 @@ from typing import TYPE_CHECKING, Any
 from opfmodel.errors import Fault, OpfmodelError, ScenarioError
 
 if TYPE_CHECKING:
+    from opfmodel.data.series import Profiles
     from opfmodel.data.yaml import Place
     from opfmodel.network import Network
     from opfmodel.scenario import Scenario
     from opfmodel.scenario.document import Document
+    from opfmodel.simulation import Controller
 
-__all__ = ["check_on_infeasible", "is_scenario", "read_network_file", "read_scenario", "refuse_lossy"]
+__all__ = [
+    "check_on_infeasible",
+    "controller_of",
+    "is_scenario",
+    "network_of",
+    "read_network_file",
+    "read_scenario",
+    "refuse_lossy",
+]
 
 
 _LONGEST = 80  # characters of an option that a message repeats
@@ -151,3 +161,44 @@ def check_on_infeasible(value: str | None) -> None:
     """Raise an error for a value that ``--on-infeasible`` does not accept."""
     if value not in (None, "stop", "elastic"):
         raise OpfmodelError(f"--on-infeasible {value}: must be stop or elastic")
+
+
+def network_of(
+    file: Path, lossy: bool, variant: str | None, overrides: list[str] | None
+) -> tuple[Network, Profiles | None]:
+    """Return the network of a file, and the time series of a scenario."""
+    if is_scenario(file):
+        refuse_lossy(file, lossy)
+        scenario = read_scenario(file, variant, overrides)
+        return scenario.network, scenario.profiles
+    if variant is not None or overrides:
+        raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
+    return read_network_file(file, default_cost=0.0, lossy=lossy), None  # costs play no part in it
+
+
+def controller_of(
+    file: Path,
+    chosen: Mapping[str, Any],
+    default_cost: float | None,
+    lossy: bool,
+    variant: str | None,
+    overrides: list[str] | None,
+) -> tuple[Controller, Mapping[str, Any] | None]:
+    """The controller of a file, with a perfect forecast, and its initial state."""
+    from opfmodel.plan import MultiStage
+    from opfmodel.simulation import Controller
+
+    if is_scenario(file):
+        if default_cost is not None:
+            raise OpfmodelError(
+                f"{file}: --default-cost applies to network files only; "
+                "use --set network.default_cost, a cost such as {c1: 30}"
+            )
+        refuse_lossy(file, lossy)
+        changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
+        scenario = read_scenario(file, variant, overrides, changes)
+        planner = Controller(scenario.problem, elastic=scenario.elastic, scenarios=scenario.scenarios)
+        return planner, scenario.initial()
+    if variant is not None or overrides:
+        raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
+    return Controller(MultiStage(read_network_file(file, default_cost, lossy), **chosen)), None

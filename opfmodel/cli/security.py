@@ -9,9 +9,7 @@ import typer
 
 from opfmodel.cli.options import FILE, JSON, LOSSY, SET, VARIANT
 from opfmodel.cli.output import print_json, print_line, print_notes, print_pairs, print_table
-from opfmodel.cli.powerflow import network_of
-from opfmodel.cli.reading import is_scenario
-from opfmodel.cli.solve import controller_of
+from opfmodel.cli.reading import controller_of, is_scenario, network_of
 
 if TYPE_CHECKING:
     from opfmodel.plan import Plan, Security
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["security"]
 
 _SHOWN = 20  # rows of the table
-_NOTHING = "no response is within the limits of the units"
 
 
 def security(
@@ -90,16 +87,7 @@ def _show(found: Assessment) -> None:
     if not violated:
         return
     print_line("")
-    rows = [
-        [
-            o.out,
-            str(o.stage),
-            o.scenario or "-",
-            o.status,
-            o.worst.text if o.worst else _NOTHING,
-        ]
-        for o in violated[:_SHOWN]
-    ]
+    rows = [[o.out, str(o.stage), o.scenario or "-", o.status, o.text] for o in violated[:_SHOWN]]
     print_table(["outage", "stage", "scenario", "status", "what is lacking"], rows)
     if len(violated) > _SHOWN:
         print_line(f"and {len(violated) - _SHOWN} more; --json lists all")

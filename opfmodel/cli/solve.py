@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from opfmodel.cli import show
 from opfmodel.cli.options import FILE, JSON, LOSSY, ON_INFEASIBLE, SET, VARIANT, VERBOSE
 from opfmodel.cli.output import print_json, solver_output
-from opfmodel.cli.reading import (
-    check_on_infeasible,
-    is_scenario,
-    read_network_file,
-    read_scenario,
-    refuse_lossy,
-)
-from opfmodel.errors import OpfmodelError
+from opfmodel.cli.reading import check_on_infeasible, controller_of
 
 if TYPE_CHECKING:
     from opfmodel.check import Report
     from opfmodel.plan import Plan
     from opfmodel.simulation import Controller
 
-__all__ = ["controller_of", "solve"]
+__all__ = ["solve"]
 
 
 def solve(
@@ -105,31 +96,3 @@ def _verified(controller: Controller, plan: Plan) -> Report:
         for name, own in zip(plan.horizon.scenarios, series, strict=True)
     ]
     return max(reports, key=lambda report: report.max_violation)
-
-
-def controller_of(
-    file: Path,
-    chosen: Mapping[str, Any],
-    default_cost: float | None,
-    lossy: bool,
-    variant: str | None,
-    overrides: list[str] | None,
-) -> tuple[Controller, Mapping[str, Any] | None]:
-    """The controller of a file, with a perfect forecast, and its initial state."""
-    from opfmodel.plan import MultiStage
-    from opfmodel.simulation import Controller
-
-    if is_scenario(file):
-        if default_cost is not None:
-            raise OpfmodelError(
-                f"{file}: --default-cost applies to network files only; "
-                "use --set network.default_cost, a cost such as {c1: 30}"
-            )
-        refuse_lossy(file, lossy)
-        changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
-        scenario = read_scenario(file, variant, overrides, changes)
-        planner = Controller(scenario.problem, elastic=scenario.elastic, scenarios=scenario.scenarios)
-        return planner, scenario.initial()
-    if variant is not None or overrides:
-        raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")
-    return Controller(MultiStage(read_network_file(file, default_cost, lossy), **chosen)), None

@@ -219,7 +219,7 @@ class Shortage:
         text += f" at {self.moments[first]}" + (f" of scenario {scenario!r}" if scenario else "")
         if self.hypothetical:
             others = short.size - 1
-            return f"{text} after the outage of {', '.join(self.horizon.outage(int(first)))}" + (
+            return f"{text} after the outage of {', '.join(self.horizon.out[first])}" + (
                 f" (and after {others} others)" if others else ""
             )
         if short.size > 1:

@@ -59,6 +59,13 @@ class Outcome(NamedTuple):
     status: str
     worst: Worst | None
 
+    @property
+    def text(self) -> str:
+        """What is lacking, in words; empty if it is secure."""
+        if self.status == "violated":
+            return self.worst.text if self.worst else "no response is within the limits of the units"
+        return "the solver could not tell" if self.status == "diverged" else ""
+
 
 class Cut(NamedTuple):
     """A branch whose outage splits the grid: peak demand and capacity of the part that it cuts off, MW."""
@@ -106,7 +113,8 @@ def assess(dispatch: Plan | PowerFlowResult, security: Security | None = None) -
     """Find the outages that a plan, or the dispatch of a power flow, does not survive.
 
     After every stage and for every outage, the problem of that contingency alone is solved with soft limits,
-    from the state that the dispatch leaves: whatever it lacks, no permitted response can provide.
+    from the state that the dispatch leaves: whatever it lacks, no permitted response can provide. Where the
+    formulation is not convex, this is the verdict of a local solver.
 
     Parameters
     ----------
@@ -167,14 +175,13 @@ def _stages_of(plan: Plan) -> list[_Stage]:
     if not plan.optimal:
         raise ModelError(f"the plan from step {plan.time} is {plan.status}: there is nothing to assess")
     horizon, solution = plan.horizon, plan.solution
-    whole = plan.request.horizon
 
     def state(node: int) -> State:
         def values(name: str) -> Array | None:
             if name not in solution.program.variables:
                 return None
             found = solution.variable(name)
-            nodes = whole.columns(found.shape[1])
+            nodes = plan.nodes.columns(found.shape[1])
             return None if nodes is None else found[:, int(np.flatnonzero(nodes == node)[0])]
 
         return values

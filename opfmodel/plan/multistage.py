@@ -219,7 +219,7 @@ class MultiStage:
                 "leave the step out, or resample the series"
             )
         if isinstance(given, Horizon):
-            if given.contingent:
+            if given.out:
                 raise ModelError("horizon: has contingencies; state them by security = Security(...)")
             return given
         known = 1.0 if calendar is None else calendar.step

@@ -62,7 +62,7 @@ class Plan:
         self.request = request
         self.model = model
         self.whole = network
-        self.network = network.first(len(request.horizon.regular)) if request.horizon.contingent else network
+        self.network = network.first(len(request.horizon.regular)) if request.horizon.out else network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""
@@ -148,9 +148,9 @@ class Plan:
         return Horizon.chain(len(whole) - skipped, whole.base) if skipped else whole
 
     @property
-    def _nodes(self) -> Horizon:
+    def nodes(self) -> Horizon:
         """The nodes of the plan with contingencies."""
-        return self.request.horizon if self.request.horizon.contingent else self.horizon
+        return self.request.horizon if self.request.horizon.out else self.horizon
 
     @cached_property
     def stage(self) -> NumericStage:
@@ -207,8 +207,8 @@ class Plan:
         if prices is None or not self.short:
             return ()
         slacks = self.model.slacks.values()
-        times = self.problem.times(self.time, self._nodes)
-        return shortages(slacks, shortfall_due(self), self.whole, prices, self._nodes, times)
+        times = self.problem.times(self.time, self.nodes)
+        return shortages(slacks, shortfall_due(self), self.whole, prices, self.nodes, times)
 
     @property
     def penalty(self) -> float:
@@ -319,7 +319,7 @@ class Plan:
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
-        values = self.model.prices[name].values(self.solution, self.whole, self._nodes)
+        values = self.model.prices[name].values(self.solution, self.whole, self.nodes)
         return self._regular(values)
 
     def prices(self) -> dict[tuple[str, str], Array]:
@@ -334,7 +334,7 @@ class Plan:
         in degrees: the relaxation is exact if both vanish. Empty for formulations that relax
         nothing, for secure plans, and for plans that are not optimal.
         """
-        if not self.optimal or self.request.horizon.contingent:
+        if not self.optimal or self.request.horizon.out:
             return {}
         return self.problem.formulation.relaxation(self.solution, self.network)
 

@@ -232,11 +232,8 @@ def cut_off(network: PerUnitNetwork) -> list[tuple[str, float, float]]:
     ends = list(zip(branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True))
     graph.add_edges_from(ends)
     pairs = [frozenset(pair) for pair in ends]
-    at_buses = (
-        network.at_buses(kind, values).max(axis=1) * network.base_mva
-        for kind, values in (("load", network.load.p), ("generator", network.generator.p_max))
-    )
-    demand, capacity = at_buses
+    demand = network.at_buses("load", network.load.p).max(axis=1) * network.base_mva
+    capacity = network.at_buses("generator", network.generator.p_max).max(axis=1) * network.base_mva
     made = []
     for bridge in list(nx.bridges(graph)):
         of = [number for number, pair in enumerate(pairs) if pair == frozenset(bridge)]
