@@ -34,6 +34,7 @@ class AC(Formulation):
     name = "ac"
     reactive = True
     publishes = ("vm", "va", "pf", "qf", "pt", "qt")
+    physics = "ac"
 
     def declare(self, model: Model) -> None:
         """Declare ``vm``, ``va`` and the branch flows."""

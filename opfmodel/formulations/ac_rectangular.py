@@ -34,6 +34,7 @@ class ACRectangular(Formulation):
     name = "ac-rectangular"
     reactive = True
     publishes = ("vm", "va", "pf", "qf", "pt", "qt")
+    physics = "ac"
 
     def declare(self, model: Model) -> None:
         """Declare ``vr``, ``vi`` and the branch flows; publish ``vm`` and ``va``."""

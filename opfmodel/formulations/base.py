@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -45,12 +45,17 @@ class Formulation:
         Network quantities that objectives and constraints may use.
     slack_losses
         Whether losses are only bounded from below: fictitious ones may absorb power that costs nothing.
+    physics
+        ``ac`` or ``dc`` if flows are those of :mod:`opfmodel.network.outages`, which then tests many
+        outages at once; ``dc`` needs a method ``flow``, see :class:`opfmodel.formulations.dc.DC`. By
+        default they are not known, and every outage is tested by its own problem.
     """
 
     name: ClassVar[str]
     reactive: ClassVar[bool]
     publishes: ClassVar[tuple[str, ...]]
     slack_losses: ClassVar[bool] = False
+    physics: ClassVar[Literal["ac", "dc"] | None] = None
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
         """Return the balance row of each bus; by default one per bus."""

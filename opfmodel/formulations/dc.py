@@ -33,6 +33,7 @@ class DC(Formulation):
     name = "dc"
     reactive = False
     publishes = ("va", "pf", "pt")
+    physics = "dc"
 
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""

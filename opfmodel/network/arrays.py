@@ -210,14 +210,14 @@ class PerUnitNetwork:
             tables[kind] = tables[kind].with_series({f: a for (k, f), a in series.items() if k == kind})
         return replace(self, tables=tables)
 
-    def first(self, stages: int) -> PerUnitNetwork:
-        """Return the network with the first stages of its time series."""
+    def over(self, stages: slice) -> PerUnitNetwork:
+        """Return the network with some stages of its time series."""
         return self.with_series(
             {
-                (kind, field): values[:, :stages]
+                (kind, field): values[:, stages]
                 for kind, table in self.tables.items()
                 for field, values in table.arrays.items()
-                if values.ndim == 2 and values.shape[1] > stages
+                if values.ndim == 2 and values.shape[1] > 1
             }
         )
 

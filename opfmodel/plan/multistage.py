@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, get_args
 
@@ -36,6 +37,7 @@ from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
+from opfmodel.plan.screening import screened
 from opfmodel.plan.security import Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
 from opfmodel.plan.solving import solved
@@ -46,6 +48,7 @@ __all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
+Contingency = tuple[int, tuple[str, ...]]  # a stage, and the components that go out after it
 
 # What a program is compiled from; the constraints are added by a method.
 _STATED = frozenset(
@@ -172,9 +175,7 @@ class MultiStage:
         self.security = security
         if security is not None:
             self._check_secured(elastic)
-            self.horizon = security.secured(self.horizon, self.peak)
-            states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
-            check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
+            self._secure(security)
         self.objective = Economic() if objective is None else objective
         self.generator_delay = generator_delay
         self.end = End() if end is None else end
@@ -198,6 +199,7 @@ class MultiStage:
         self.verbose = verbose
         self.constraints: dict[str, CustomConstraint] = {}
         self.rationed, self.split_shedding = False, False
+        self.included: tuple[Contingency, ...] = ()
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -259,6 +261,17 @@ class MultiStage:
                 f"security with formulation {self.formulation.name!r}: after an outage its losses cost "
                 "nothing and would absorb any power; use ac, soc or dc"
             )
+
+    def _secure(self, security: Security) -> None:
+        """Check the contingencies; unless they are screened, the horizon has them all."""
+        names = security.outages(self.peak)
+        if security.screen:
+            return
+        nodes = range(len(self.horizon))
+        after = [(node, (name,)) for node in nodes for name in names]
+        self.horizon = self.horizon.with_contingencies(after, security.response_minutes)
+        states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
+        check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
 
     @property
     def peak(self) -> PerUnitNetwork:
@@ -369,6 +382,21 @@ class MultiStage:
         alone._check_secured(alone.elastic)
         alone.security, alone.risk, alone.constraints = security, None, {}
         return alone
+
+    def include(self, contingencies: Iterable[Contingency]) -> None:
+        """Include contingencies, which screening has found, in what is solved from now on."""
+        self.included = (*self.included, *contingencies)
+        vars(self).pop("secured", None)
+
+    @cached_property
+    def secured(self) -> MultiStage:
+        """The problem with the contingencies that screening has included so far."""
+        if self.security is None or not self.included:
+            return self
+        horizon = self.horizon.with_contingencies(self.included, self.security.response_minutes)
+        made = self.variant(elastic=self.elastic, horizon=horizon)
+        made.security = replace(self.security, screen=False)
+        return made
 
     def is_variant_of(self, other: MultiStage) -> bool:
         """Return whether this is the other problem, or a :meth:`variant` of the same one."""
@@ -586,6 +614,12 @@ class MultiStage:
         """
         nodes = self.horizon if horizon is None else horizon
         request = Request(time, initial, self.end if end is None else end, expected, nodes)
+        if self.security is not None and self.security.screen:
+            return screened(self, request, previous, multipliers)
+        return self.solve_request(request, previous, multipliers)
+
+    def solve_request(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
+        """Solve the compiled problem; an elastic one for minimum penalty first, unless it is traded."""
         plan = self.solve_once(request, previous, multipliers)
         certain = self.elastic is None or self.elastic.traded or (plan.optimal and not plan.short)
         return plan if certain else without_outbidding(self, plan)

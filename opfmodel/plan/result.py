@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from opfmodel.plan.multistage import MultiStage
+    from opfmodel.plan.screening import Round
 
 __all__ = ["Plan", "penalty_outputs", "status_word"]
 
@@ -47,6 +48,8 @@ class Plan:
         The certified solution of the program.
     request
         What was asked for.
+    rounds
+        Rounds of screening that led to a secure plan; empty without screening.
     """
 
     def __init__(
@@ -62,7 +65,9 @@ class Plan:
         self.request = request
         self.model = model
         self.whole = network
-        self.network = network.first(len(request.horizon.regular)) if request.horizon.out else network
+        self.rounds: tuple[Round, ...] = ()
+        regular = slice(len(request.horizon.regular))
+        self.network = network.over(regular) if request.horizon.out else network
 
     def __repr__(self) -> str:
         cost = f", {self.objective:.6g} {self.network.currency}" if self.optimal else ""

@@ -20,7 +20,7 @@ from opfmodel.network.network import name_pattern
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
 
-__all__ = ["Security", "at_contingencies", "cut_off", "outage_fields", "splitting"]
+__all__ = ["NOTHING", "Security", "at_contingencies", "cut_off", "outage_fields", "splitting"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -36,6 +36,7 @@ _OUT: Mapping[str, Mapping[str, float]] = {
 }
 # A preventive response takes no time: neither ramps nor energy limit it.
 _HELD: Mapping[tuple[str, str], float] = {("generator", "ramp"): np.inf}
+NOTHING = ""  # the name of no component: a contingency in which nothing is lost
 _AT_ONCE = 1e-7  # min; ramps of zero length would be undefined
 
 Response = Literal["corrective", "preventive"]
@@ -72,6 +73,9 @@ class Security:
         default ``Generator.participation``, or the capacity.
     rating
         Multiple of the rating of a branch that applies after an outage, if it has no emergency rating.
+    screen
+        Whether problems include only the contingencies that a plan without them does not survive; see
+        :func:`opfmodel.plan.screening.screened`. Else they include all of them from the start.
     """
 
     contingencies: Literal["all"] | Mapping[str, Sequence[str]] = "all"
@@ -79,6 +83,7 @@ class Security:
     minutes: float = 15.0
     participation: Mapping[str, float] | None = None
     rating: float = 1.0
+    screen: bool = True
 
     def __post_init__(self) -> None:
         if self.response not in get_args(Response):
@@ -88,6 +93,8 @@ class Security:
         self._check_contingencies()
         for name, weight in (self.participation or {}).items():
             number_within(f"security: participation: {name}", weight, at_least=0, error=SecurityError)
+        if not isinstance(self.screen, bool):
+            raise SecurityError(f"security: screen = {shown(self.screen)}: must be true or false")
         number_within("security: minutes", self.minutes, above=0, error=SecurityError)
         number_within("security: rating", self.rating, above=0, error=SecurityError)
 
@@ -150,13 +157,6 @@ class Security:
         return (
             f"not secured, because their outage splits the grid: {listed(bridges)} ({lost:.4g} MW in all)",
         )
-
-    def secured(self, horizon: Horizon, network: PerUnitNetwork) -> Horizon:
-        """Return a horizon with a contingency after every node for every outage."""
-        names = self.outages(network)
-        nodes = range(len(horizon.regular))
-        after = [(node, (name,)) for node in nodes for name in names]
-        return horizon.with_contingencies(after, self.response_minutes)
 
     @property
     def response_minutes(self) -> float:

@@ -20,7 +20,7 @@ from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import at_contingencies
-from opfmodel.plan.start import lifted, moved
+from opfmodel.plan.start import grown, lifted, moved
 from solvers import Kind, Program, Start, classify
 
 if TYPE_CHECKING:
@@ -107,6 +107,9 @@ def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: 
         previous is not None
         and previous.problem is not problem
         and previous.solution.x.size != program.n_variables
+        and not (
+            previous.problem.is_variant_of(problem) and previous.request.horizon.out != request.horizon.out
+        )
     ):
         raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
     for key in request.expected or {}:
@@ -154,7 +157,12 @@ def _from_previous(
     if previous is None or time < previous.time or not previous.solution.status.is_optimal:
         return None
     steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
-    start = moved(previous.solution, previous.request.horizon, request.horizon, steps)
+    before, after = previous.request.horizon, request.horizon
+    if before.out != after.out:  # screening has found more contingencies
+        start = moved(previous.solution, before, before, steps)
+        start = grown(start, previous.solution.program, before, program, after)
+        return start if multipliers else Start(start.x)
+    start = moved(previous.solution, before, after, steps)
     if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(start.x) if start.x.size == program.n_variables else None
     return start if multipliers else Start(start.x)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from opfmodel.horizon import Horizon
 from solvers import Block, Cone, Program, Solution, Start
 
-__all__ = ["lifted", "moved"]
+__all__ = ["grown", "lifted", "moved"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -57,28 +57,62 @@ def lifted(solution: Solution, program: Program, horizon: Horizon) -> Start:
     program, horizon
         The problem to start; the nodes of the solution are the moments of its horizon.
     """
-    trunk, of = horizon.trunk, solution.program
+    factor = horizon.probability
+    return _carried(
+        solution.start(), solution.program, horizon.trunk, program, horizon, horizon.depth, factor
+    )
 
-    def lift(vector: Array, blocks: Mapping[str, Block], own: Mapping[str, Block], dual: bool) -> Array:
+
+def grown(start: Start, before: Program, known: Horizon, program: Program, horizon: Horizon) -> Start:
+    """Return the start of a problem as that of the same problem with other contingencies.
+
+    Every node starts from itself, and a new contingency from its owner, with multipliers of zero.
+
+    Parameters
+    ----------
+    before, known
+        The problem of the start, and its horizon.
+    program, horizon
+        The problem to start, and its horizon.
+    """
+    named = {(int(known.owner[node]), known.out[node]): node for node in known.contingencies.tolist()}
+    source, factor = horizon.owner.copy(), np.ones(len(horizon))
+    for node in horizon.contingencies.tolist():
+        found = named.get((int(horizon.owner[node]), horizon.out[node]))
+        source[node], factor[node] = (source[node], 0.0) if found is None else (found, 1.0)
+    return _carried(start, before, known, program, horizon, source, factor)
+
+
+def _carried(
+    start: Start,
+    of: Program,
+    known: Horizon,
+    program: Program,
+    horizon: Horizon,
+    source: Index,
+    factor: Array,
+) -> Start:
+    """Return a start on another program, whose nodes take that of ``source``; multipliers by a factor."""
+
+    def carry(vector: Array, blocks: Mapping[str, Block], own: Mapping[str, Block], dual: bool) -> Array:
         made = [np.zeros(0)]
         for name, block in blocks.items():
-            nodes, source = horizon.columns(block.stages), own.get(name)
-            there = None if source is None else trunk.columns(source.stages)
-            if source is None or nodes is None or there is None:
+            nodes, there = horizon.columns(block.stages), own.get(name)
+            columns = None if there is None else known.columns(there.stages)
+            if there is None or nodes is None or columns is None:
                 values = np.zeros(block.shape) if dual else block.value
             else:
-                position = _positions(np.where(nodes < 0, nodes, horizon.depth[nodes]), there)
-                factor = np.where(nodes < 0, 1.0, horizon.probability[nodes]) if dual else 1.0
-                values = source.read(vector)[:, position] * factor
+                position = _positions(np.where(nodes < 0, nodes, source[nodes]), columns)
+                scale = np.where(nodes < 0, 1.0, factor[nodes]) if dual else 1.0
+                values = there.read(vector)[:, position] * scale
             made.append(values.ravel(order="F"))
         return np.concatenate(made)
 
-    return Start(
-        lift(solution.x, program.variables, of.variables, dual=False),
-        lift(solution.lam_x, program.variables, of.variables, dual=True),
-        lift(solution.lam_g, program.rows, of.rows, dual=True),
-        moved=1,
-    )
+    def multipliers(vector: Array | None, which: str) -> Array | None:
+        return None if vector is None else carry(vector, getattr(program, which), getattr(of, which), True)
+
+    x = carry(start.x, program.variables, of.variables, dual=False)
+    return Start(x, multipliers(start.lam_x, "variables"), multipliers(start.lam_g, "rows"), moved=1)
 
 
 def _positions(wanted: Index, nodes: Index) -> Index:

@@ -1,0 +1,111 @@
+"""Screening: a secure plan from the few contingencies that it would not survive otherwise."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from opfmodel.plan.request import Request
+from opfmodel.plan.response import Outcome, Responses, stages_of
+from opfmodel.plan.result import Plan
+
+if TYPE_CHECKING:
+    from opfmodel.plan.multistage import MultiStage
+
+__all__ = ["Round", "screened"]
+
+
+class Round(NamedTuple):
+    """One round of screening.
+
+    Attributes
+    ----------
+    included
+        Contingencies in the problem that was solved.
+    violated
+        Outcomes of the others that the plan did not survive, or that are not known.
+    added
+        Those of them that the next problem included.
+    iterations, seconds
+        Effort of the solver, and time that testing the plan took.
+    """
+
+    included: int
+    violated: tuple[Outcome, ...]
+    added: tuple[Outcome, ...]
+    iterations: int | None
+    seconds: float
+
+
+def screened(problem: MultiStage, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
+    """Return the plan that survives every contingency, from problems that include few of them.
+
+    A plan without contingencies is solved, and every contingency tested. Of those that it does not survive,
+    the one that exceeds a limit of a component most is included, for every such component and stage, and
+    the problem is solved again, until all are survived. What was included stays so in later plans.
+
+    Parameters
+    ----------
+    previous
+        An earlier plan to start from, with its multipliers or without.
+    """
+    security = problem.security
+    assert security is not None
+    every, responses = security.outages(problem.peak), Responses(problem, security)
+    rounds: list[Round] = []
+    solved: list[Plan] = []
+    while True:
+        secured = problem.secured
+        horizon = request.horizon
+        if horizon is problem.horizon:
+            horizon = secured.horizon
+        elif problem.included:
+            horizon = horizon.with_contingencies(problem.included, security.response_minutes)
+        plan = secured.solve_request(replace(request, horizon=horizon), previous, multipliers)
+        solved.append(plan)
+        began = clock.perf_counter()
+        known = set(problem.included)
+        violated = tuple(
+            outcome
+            for stage in (stages_of(plan) if plan.optimal else ())
+            for outcome in responses.outcomes(
+                stage, [out for out in every if (stage.number, (out,)) not in known]
+            )
+            if outcome.status != "secure"
+        )
+        added = _worst(violated)
+        rounds.append(
+            Round(len(known), violated, added, plan.solution.iterations, clock.perf_counter() - began)
+        )
+        if not added:
+            break
+        problem.include((outcome.stage, (outcome.out,)) for outcome in added)
+        previous, multipliers = plan, True
+    return _with_rounds(plan, solved, rounds)
+
+
+def _worst(violated: Iterable[Outcome]) -> tuple[Outcome, ...]:
+    """Return the worst outcome of each component and stage, and all without a shortfall that is known."""
+    made: dict[object, Outcome] = {}
+    for outcome in violated:
+        worst = outcome.worst
+        key = (outcome.stage, outcome.out if worst is None else (worst.kind, worst.name))
+        held = made.get(key)
+        if held is None or (worst and held.worst and worst.value > held.worst.value):
+            made[key] = outcome
+    return tuple(made.values())
+
+
+def _with_rounds(plan: Plan, solved: list[Plan], rounds: list[Round]) -> Plan:
+    """Return a plan with the rounds that led to it, and their effort."""
+    counted = [p.solution.iterations for p in solved if p.solution.iterations is not None]
+    solution = replace(
+        plan.solution,
+        iterations=sum(counted) if counted else None,
+        seconds=sum(p.solution.seconds for p in solved) + sum(r.seconds for r in rounds),
+    )
+    made = plan.with_solution(plan.problem, solution)
+    made.rounds = tuple(rounds)
+    return made
