@@ -10,10 +10,10 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.errors import HorizonError
+from opfmodel.errors import HorizonError, shown
 from opfmodel.network.bounds import STEP_HOURS, integer, is_number, number_within
 
-__all__ = ["Horizon"]
+__all__ = ["Horizon", "check_splits"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -28,8 +28,8 @@ class Horizon:
 
     A plan decides one stage per node. What couples stages acts from a node's parent to the node, and the
     cost is :math:`\sum_n \pi_n h_n \ell(x_n, u_n)`, with the probability :math:`\pi_n` and the length
-    :math:`h_n` of node n. Parents come before their children. Made by :meth:`chain`, :meth:`grid` and
-    :meth:`tree`.
+    :math:`h_n` of node n. Parents come before their children. Made by :meth:`chain`, :meth:`grid`,
+    :meth:`tree` and :meth:`branching`.
 
     A contingency is the state of the grid a few minutes after an outage at the end of a node: a child of
     that node with its data, without probability and without children. Contingencies come last.
@@ -45,9 +45,10 @@ class Horizon:
     step
         First base step that each node covers, counted from the beginning of the plan.
     series
-        Future from which the data of each node come; 0 in a chain.
+        Future from which the data of each node come; 0 in a chain, and the first of those that share a node.
     scenario
-        Name of the future of each node, empty for nodes that all futures share.
+        Name of the future of each node, or of the group of futures that share it; empty for nodes that all
+        futures share.
     base
         Length of a base step, h: that of the time series and of the closed loop.
     out
@@ -147,19 +148,91 @@ class Horizon:
         many = len(names)
         if common > depth or (common == depth and many > 1):
             raise HorizonError(f"common = {common}: must be below the number of stages, {depth}", "common")
-        shared = common if many > 1 else depth
-        branch = np.tile(np.arange(many), depth - shared)  # scenario of each node after the common part
-        level = np.concatenate([np.arange(shared), np.repeat(np.arange(shared, depth), many)]).astype(np.intp)
-        parent = np.arange(len(level), dtype=np.intp) - 1
-        parent[shared:] = np.where(level[shared:] == shared, shared - 1, np.arange(shared, len(level)) - many)
-        first = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+        widths = [1] * common + [many] * (depth - common)
+        return cls._of_widths(widths, {1: ("",), many: names}, shares, lengths, base, varying)
+
+    @classmethod
+    def branching(
+        cls,
+        hours: Sequence[float],
+        splits: Mapping[int, int],
+        step: float | None = None,
+        varying: bool = False,
+    ) -> Self:
+        """Return a tree that splits more than once, with equally probable futures.
+
+        The first split makes ``path 1``, ``path 2``, ..., and the next one ``path 1.1``, ``path 1.2``, ... of
+        them: the names of the futures that share a node begin with its name.
+
+        Parameters
+        ----------
+        hours, step, varying
+            As for :meth:`tree`.
+        splits
+            Number of children of every node at the end of a number of stages, by that number. A single split
+            after n stages makes the same nodes as :meth:`tree` with n common ones.
+
+        Raises
+        ------
+        HorizonError
+            A split is not within the horizon or has fewer than two children; a length is not a positive
+            multiple of the step.
+
+        Examples
+        --------
+        >>> tree = Horizon.branching([1, 1, 1], {1: 2, 2: 2})
+        >>> tree.parent.tolist(), tree.scenario[1:4]
+        ([-1, 0, 0, 1, 1, 2, 2], ('path 1', 'path 2', 'path 1.1'))
+        """
+        lengths, base = _lengths(hours, step)
+        widths = [1] * len(lengths)
+        names: dict[int, tuple[str, ...]] = {1: ("",)}
+        for depth, children in check_splits(splits).items():
+            if depth >= len(lengths):
+                raise HorizonError(
+                    f"splits: {depth}: must be below the number of stages, {len(lengths)}",
+                    "draw", "splits", str(depth),
+                )  # fmt: skip
+            heads = [f"{name}." if name else "path " for name in names[widths[-1]]]
+            widths[depth:] = [widths[-1] * children] * len(widths[depth:])
+            names[widths[-1]] = tuple(f"{head}{n}" for head in heads for n in range(1, children + 1))
+        shares = np.full(widths[-1], 1.0 / widths[-1])
+        return cls._of_widths(widths, names, shares, lengths, base, varying)
+
+    @classmethod
+    def _of_widths(
+        cls,
+        widths: Sequence[int],
+        names: Mapping[int, Sequence[str]],
+        shares: Array,
+        lengths: Index,
+        base: float,
+        varying: bool,
+    ) -> Self:
+        """Return a tree from the number of nodes at each depth, each a multiple of the one before.
+
+        Parameters
+        ----------
+        names
+            Names of the nodes of a depth, by their number.
+        shares
+            Probability of each leaf.
+        """
+        width = np.array(widths, dtype=np.intp)
+        level = np.repeat(np.arange(width.size), width)
+        first = np.cumsum(width) - width  # first node of each depth
+        rank = np.arange(level.size) - first[level]  # of a node among those of its depth
+        above = np.maximum(level - 1, 0)
+        leaves = width[-1] // width[level]  # of each node
+        series = rank * leaves
+        starts = np.cumsum(lengths) - lengths
         return cls(
-            parent=parent,
+            parent=np.where(level > 0, first[above] + rank * width[above] // width[level], -1),
             hours=np.asarray(lengths * base)[level],
-            probability=np.concatenate([np.ones(shared), shares[branch]]),
-            step=first[level].astype(np.intp),
-            series=np.concatenate([np.zeros(shared), branch]).astype(np.intp),
-            scenario=(*[names[0] if len(names) == 1 else ""] * shared, *(names[b] for b in branch)),
+            probability=np.array([shares[s : s + n].sum() for s, n in zip(series, leaves, strict=True)]),
+            step=starts[level],
+            series=series,
+            scenario=tuple(name for count in widths for name in names[count]),
             base=base,
             varying=varying,
         )
@@ -364,8 +437,8 @@ class Horizon:
         the same one of the node that its owner resembles, or that node if it has none.
         """
         nodes = np.arange(len(self), dtype=np.intp)
-        likely = self.paths[int(np.argmax(self.probability[self.leaves]))]
-        for path in (*self.paths, likely):  # last, because shared nodes continue in the most likely future
+        likely = np.argsort(-self.probability[self.leaves], kind="stable")
+        for path in (self.paths[leaf] for leaf in likely[::-1]):  # shared nodes continue in the most likely
             ends = (self.step + self.lengths)[path]
             at = np.searchsorted(ends, self.step[path[:-1]] + steps, side="right")
             nodes[path[:-1]] = path[np.minimum(at, max(len(path) - 2, 0))]
@@ -374,6 +447,26 @@ class Horizon:
             owner = int(nodes[self.owner[node]])
             nodes[node] = known.get((owner, self.out[node]), owner)
         return nodes
+
+
+def check_splits(splits: Mapping[int, int]) -> dict[int, int]:
+    """Return the number of children by the depth of a split, in order of time.
+
+    Raises
+    ------
+    HorizonError
+        A depth is not a positive integer, or a split has fewer than two children.
+    """
+    at = ("draw", "splits")
+    if not isinstance(splits, Mapping) or not splits:
+        raise HorizonError(f"splits = {shown(splits)}: must be a mapping such as {{2: 3, 6: 2}}", *at)
+    for depth, children in splits.items():
+        try:
+            integer("splits: stages", depth, at_least=1, error=HorizonError)
+            integer(f"splits: {depth}: children", children, at_least=2, error=HorizonError)
+        except HorizonError as error:
+            raise HorizonError(str(error), *at, str(depth)) from None
+    return {int(depth): int(splits[depth]) for depth in sorted(splits)}
 
 
 def _lengths(hours: Sequence[float], step: float | None) -> tuple[Index, float]:

@@ -93,6 +93,22 @@ def test_scenarios_are_a_fan_with_one_label(hours: list[int]) -> None:
         assert line.get_ydata()[:-1].tolist() == pytest.approx(drawn.tolist())
 
 
+def test_a_fan_may_split_more_than_once() -> None:
+    horizon = om.Horizon.branching([1, 1, 1], {1: 2, 2: 2})
+    problem = om.MultiStage(everything(), horizon, profiles=demand(3), formulation="dc")
+    plan = problem.solve(
+        expected=problem.expected(
+            [om.Profiles.of({key: values * f for key, values in demand(3).items()}) for f in (0.8, 0.9, 1, 1)]
+        )
+    )
+    for figure in (system(plan.data), figures.buses(plan.data), figures.demand(plan.data)):
+        for axis in figure.axes:
+            assert len([line for line in axis.get_lines() if len(line.get_xdata())]) % 4 == 0
+    for line, name in zip(system(plan.data).axes[0].get_lines()[:4], horizon.scenarios, strict=True):
+        drawn = plan.scenario(name)["pd"].sum("bus").values
+        assert line.get_ydata()[:-1].tolist() == pytest.approx(drawn.tolist())
+
+
 def test_the_title_names_the_scenario(plan: om.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     titles = []
     monkeypatch.setattr(

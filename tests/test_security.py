@@ -124,6 +124,16 @@ def test_a_secure_plan_agrees_with_the_extensive_form(which: str, formulation: s
     assert plan.objective > free.objective + 1.0  # security binds
 
 
+def test_a_secure_plan_may_split_more_than_once() -> None:
+    horizon = om.Horizon.branching([1, 1, 2], {1: 2, 2: 2})
+    series = [demand(horizon.steps, factor) for factor in (0.95, 1.0, 1.05, 1.1)]
+    plan = solved(horizon, om.Security(minutes=30, rating=1.1), series=series)
+    stated = nodes(horizon, series, ["ab", "bc", "ac"], 30, 1.1)
+    reference = extensive.solve(grid(), stated, ENERGY, dispatch=BEFORE)
+    assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
+    assert plan.objective > solved(horizon, None, series=series).objective + 1.0
+
+
 @pytest.mark.parametrize("participation", [None, {"coal": 1.0, "gas": 3.0}])
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 def test_a_preventive_plan_agrees_with_the_extensive_form(

@@ -50,8 +50,26 @@ def demand(steps: int, factor: float, after: int) -> om.Profiles:
 
 
 def futures(horizon: om.Horizon, common: int) -> list[om.Profiles]:
+    if "path 1.1" in horizon.scenario:
+        return branching_futures(horizon)
     names = [name for name in horizon.scenarios if name] or ["mid"]
     return [demand(horizon.steps, FACTORS[name], common) for name in names]
+
+
+def branching_futures(horizon: om.Horizon) -> list[om.Profiles]:
+    """The demand of two splits, each of which changes it from its step on."""
+    made = []
+    for name in horizon.scenarios:
+        numbers = name.removeprefix("path ").split(".")
+        series = demand(horizon.steps, 1.0, 0)
+        for split, number in enumerate(numbers):
+            at = min(k for k, own in enumerate(horizon.scenario) if own.count(".") == split and own)
+            rise = (0.9, 1.15)[int(number) - 1]
+            later = demand(horizon.steps, rise, horizon.step[at])
+            plain = demand(horizon.steps, 1.0, 0)
+            series = om.Profiles({key: series[key] * later[key] / plain[key] for key in series})
+        made.append(series)
+    return made
 
 
 def nodes(horizon: om.Horizon, series: list[om.Profiles]) -> list[extensive.Node]:
@@ -101,6 +119,8 @@ HORIZONS = {
     "uneven": om.Horizon.grid([0.5, 0.5, 1, 2, 2]),
     "tree": om.Horizon.tree([1, 1, 1, 1], SHARES, common=2),
     "uneven tree": om.Horizon.tree([0.5, 0.5, 1, 2], SHARES, common=1),
+    "two splits": om.Horizon.branching([1, 1, 1, 1], {1: 2, 2: 2}).with_probabilities([0.1, 0.4, 0.3, 0.2]),
+    "uneven splits": om.Horizon.branching([0.5, 0.5, 1, 2], {1: 2, 3: 2}),
 }
 
 
@@ -123,16 +143,21 @@ def test_a_plan_agrees_with_the_extensive_form(which: str, formulation: str, del
 
 
 @pytest.mark.parametrize("formulation", ["ac", "dc"])
-@pytest.mark.parametrize(("level", "weight"), [(0.7, 0.5), (0.5, 0.9), (0.0, 0.5)])
-def test_risk_agrees_with_the_extensive_form(formulation: str, level: float, weight: float) -> None:
-    horizon = HORIZONS["tree"]
+@pytest.mark.parametrize(
+    ("which", "level", "weight"),
+    [("tree", 0.7, 0.5), ("tree", 0.5, 0.9), ("tree", 0.0, 0.5), ("two splits", 0.7, 0.5)],
+)
+def test_risk_agrees_with_the_extensive_form(
+    which: str, formulation: str, level: float, weight: float
+) -> None:
+    horizon = HORIZONS[which]
     series = futures(horizon, 2)
     plan = solved(horizon, series, formulation, risk=om.Risk(level, weight))
     reference = extensive.solve(
         grid(), nodes(horizon, series), ENERGY, formulation, dispatch=BEFORE, risk=(level, weight)
     )
     assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
-    shares = np.array(list(SHARES.values()))
+    shares = horizon.probability[horizon.leaves]
     costs = np.array(list(plan.scenario_costs.values()))
     assert plan.expected_cost == pytest.approx(float(shares @ costs), rel=1e-9)
     if level == 0:  # CVaR is then the mean
@@ -213,6 +238,15 @@ def test_the_dispatch_of_siblings_is_shared_with_a_delay() -> None:
     assert np.ptp(pg[later], axis=0).max() > 1.0
 
 
+def test_the_dispatch_is_shared_after_every_split_with_a_delay() -> None:
+    horizon = HORIZONS["two splits"]  # 0; 1, 2; 3, 4 and 5, 6; 7 to 10
+    pg = solved(horizon, futures(horizon, 2), delay=1).data["pg"].values
+    for siblings in ([1, 2], [3, 4], [5, 6]):
+        assert np.ptp(pg[siblings], axis=0) == pytest.approx([0, 0], abs=1e-6)
+    for apart in ([3, 5], [7, 8], [9, 10]):
+        assert np.ptp(pg[apart], axis=0).max() > 1.0
+
+
 def test_probabilities_may_vary_from_solve_to_solve() -> None:
     fixed, varying = (
         om.Horizon.tree([1, 1, 1], SHARES, common=1, varying=varying) for varying in (False, True)
@@ -277,6 +311,16 @@ def test_a_shortage_names_scenario_and_time() -> None:
     assert "hour 1" in text
     assert "'storm'" in text
     assert "calm" not in text
+
+
+def test_a_shortage_before_the_second_split_names_the_futures_that_share_it() -> None:
+    horizon = om.Horizon.branching([1, 1, 1], {1: 2, 2: 2})
+    calm = om.Profiles({"town.p": [70.0] * 3, "mill.p": [55.0] * 3})
+    lost = om.Profiles({"town.p": [70.0, 400, 70], "mill.p": [55.0] * 3})
+    problem = om.MultiStage(grid(), horizon, formulation="dc", profiles=calm)
+    ahead = problem.expected([calm, calm, lost, lost])
+    plan = problem.elastic_twin().solve(initial={"e": [60.0, 10.0]}, expected=ahead)
+    assert "hour 1 of scenario 'path 2'" in str(plan.shortages[0])
 
 
 def test_slices_of_time_have_no_meaning_on_a_tree() -> None:
@@ -356,9 +400,72 @@ def test_a_tree_that_does_not_fit_is_refused(hours: list, names: dict, options: 
         om.Horizon.tree(hours, names, **options)
 
 
-def test_starts_on_a_tree_keep_the_optimum() -> None:
+@given(
+    hours=st.lists(st.integers(1, 3), min_size=2, max_size=6),
+    data=st.data(),
+    steps=st.integers(0, 4),
+)
+def test_a_tree_that_splits_more_than_once_is_well_formed(
+    hours: list[int], data: st.DataObject, steps: int
+) -> None:
+    depths = st.integers(1, len(hours) - 1)
+    splits = data.draw(st.dictionaries(depths, st.integers(2, 3), min_size=1, max_size=3))
+    tree = om.Horizon.branching(hours, splits, step=1, varying=True)
+    shares = data.draw(st.permutations([float(k) for k in range(1, len(tree.leaves) + 1)]))
+    tree = tree.with_probabilities([share / sum(shares) for share in shares])
+    assert len(tree.leaves) == np.prod(list(splits.values()))
+    assert len(set(tree.scenarios)) == len(tree.leaves)
+    for depth in range(len(hours)):
+        assert tree.probability[tree.depth == depth].sum() == pytest.approx(1.0)
+    for k in range(len(tree)):
+        children = np.flatnonzero(tree.parent == k)
+        if k not in tree.leaves:
+            assert children.size == splits.get(int(tree.depth[k]) + 1, 1)
+            assert tree.probability[children].sum() == pytest.approx(tree.probability[k])
+            assert all(tree.scenario[child].startswith(tree.scenario[k]) for child in children)
+    moved = tree.moved(steps)
+    assert (moved[tree.leaves] == tree.leaves).all()
+    for number, path in enumerate(tree.paths):
+        assert tree.hours[path].tolist() == hours
+        assert tree.step[path].tolist() == [sum(hours[:k]) for k in range(len(hours))]
+        # a node has the data of one of its futures, and moves along the most likely of them
+        own = {k: [n for n, other in enumerate(tree.paths) if k in other] for k in path}
+        assert all(tree.series[k] in own[k] for k in path)
+        for k in path[:-1]:
+            likely = max(own[k], key=lambda n: tree.probability[tree.leaves[n]])
+            assert moved[k] in tree.paths[likely]
+        assert tree.series[path[-1]] == number
+
+
+def test_a_single_split_is_the_tree_with_a_common_part() -> None:
+    split = om.Horizon.branching([1, 1, 2, 3], {2: 3})
+    tree = om.Horizon.tree([1, 1, 2, 3], {f"path {n}": 1 / 3 for n in (1, 2, 3)}, common=2)
+    for name in ("parent", "hours", "probability", "step", "series", "scenario"):
+        assert list(getattr(split, name)) == list(getattr(tree, name)), name
+
+
+@pytest.mark.parametrize(
+    ("splits", "words"),
+    [
+        ({4: 2}, "splits: 4: must be below the number of stages, 4"),
+        ({0: 2}, "splits: stages = 0: must be an integer, at least 1"),
+        ({-1: 2}, "splits: stages = -1"),
+        ({1.5: 2}, "splits: stages = 1.5"),
+        ({1: 2, 2: 1}, "splits: 2: children = 1: must be an integer, at least 2"),
+        ({1: 2.0}, "splits: 1: children = 2.0"),
+        ({}, "must be a mapping such as"),
+        ([2, 3], "must be a mapping such as"),
+    ],
+)
+def test_splits_that_do_not_fit_are_refused(splits: object, words: str) -> None:
+    with pytest.raises(HorizonError, match=words):
+        om.Horizon.branching([1, 1, 1, 1], splits)
+
+
+@pytest.mark.parametrize("which", ["tree", "two splits"])
+def test_starts_on_a_tree_keep_the_optimum(which: str) -> None:
     """From the shifted last plan, and from the plan for the expected future."""
-    horizon = HORIZONS["tree"]
+    horizon = HORIZONS[which]
     problem = om.MultiStage(grid(), horizon, profiles=demand(8, 1.0, 0), regularisation=0.0)
     initial = {"e": list(ENERGY.values()), "pg": [pg for pg, _ in BEFORE.values()]}
     ahead = problem.expected(futures(horizon, 2))
@@ -374,9 +481,10 @@ def test_starts_on_a_tree_keep_the_optimum() -> None:
     assert warm.solution.iterations < bare.iterations
 
 
+@pytest.mark.parametrize("which", ["uneven tree", "uneven splits"])
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
-def test_the_independent_check_verifies_every_scenario(formulation: str) -> None:
-    horizon = HORIZONS["uneven tree"]
+def test_the_independent_check_verifies_every_scenario(formulation: str, which: str) -> None:
+    horizon = HORIZONS[which]
     series = futures(horizon, 1)
     plan = solved(horizon, series, formulation)
     for name, own in zip(horizon.scenarios, series, strict=True):
