@@ -32,6 +32,7 @@ _LINKS = {
     "time.at_end": "[The end of the data](inputs.md#the-end-of-the-data)",
     "controller.horizon.hours": "[uncertainty.md](uncertainty.md#uneven-steps)",
     "controller.scenarios": "[uncertainty.md](uncertainty.md)",
+    "controller.scenarios.draw.splits": "[uncertainty.md](uncertainty.md#trees-that-split-more-than-once)",
     "controller.security": "[security.md](security.md)",
     "profiles": "[Profile rules](#profile-rules)",
     "cost": "[Objectives](#objectives)",

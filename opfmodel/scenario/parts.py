@@ -230,9 +230,21 @@ def make_scenarios(document: Document, settings: ScenarioFile) -> Scenarios | No
                     rules.append(plugins.make("profile", name, options))
         cases[case] = Case(stated.probability, rules)
     with document.faults, document.located(*at):
-        draw = None if section.draw is None else Draw(**section.draw.model_dump())
+        draw = None
+        if section.draw is not None:
+            splits = section.draw.splits
+            depths = None if splits is None else {_integer(key): count for key, count in splits.items()}
+            draw = Draw(section.draw.number, section.draw.keep, section.draw.seed, depths)
         return Scenarios(section.common, cases, draw, document.path.parent)
     return None
+
+
+def _integer(key: str | int) -> Any:
+    """Return a key of a mapping as a number, unchanged if it is none."""
+    try:
+        return int(key)
+    except ValueError:
+        return key
 
 
 def make_horizon(document: Document, settings: ScenarioFile, scenarios: Scenarios | None) -> Horizon:

@@ -191,7 +191,12 @@ class CaseSection(Section):
 
 class DrawSection(Section):
     number: int = Field(description="paths to draw")
-    keep: int = Field(description="paths to keep after reduction")
+    keep: int | None = Field(None, description="paths to keep after reduction, or give `splits`")
+    splits: dict[str | int, int] | None = Field(
+        None,
+        description="number of children of every node at the end of a number of stages, by that number, in "
+        "place of `keep` and `common`: `{2: 3, 6: 2}` are six paths",
+    )
     seed: int = Field(0, description="seed of the random numbers")
 
 
@@ -204,8 +209,10 @@ class RiskSection(Section):
 
 
 class ScenariosSection(Section):
-    common: int = Field(
-        1, ge=0, description="stages at the beginning that all futures share; at least 1 in a closed loop"
+    common: Annotated[int, Field(ge=0)] | None = Field(
+        None,
+        description="stages at the beginning that all futures share, by default 1; at least 1 in a closed "
+        "loop",
     )
     cases: dict[str, CaseSection] = Field(default_factory=dict, description="named futures")
     draw: DrawSection | None = Field(None, description="paths drawn from the forecast, in place of cases")
