@@ -93,9 +93,23 @@ class ProgramBuilder:
         )
         return reference(self, "variable", block.index)
 
-    def parameter(self, name: str, items: int, stages: int = 1, value: npt.ArrayLike = 0.0) -> Expression:
-        """Declare a block of parameters, whose values may change from instance to instance."""
-        block = self._block(self._parameters, name, items, stages, -np.inf, np.inf, value)
+    def parameter(
+        self,
+        name: str,
+        items: int,
+        stages: int = 1,
+        value: npt.ArrayLike = 0.0,
+        fixed: bool | npt.NDArray[np.bool_] = False,
+    ) -> Expression:
+        """Declare a block of parameters, whose values may change from instance to instance.
+
+        Parameters
+        ----------
+        fixed
+            Entries that are program data, ``(items, 1)`` or ``(items, stages)``: coefficients that they
+            determine are constant.
+        """
+        block = self._block(self._parameters, name, items, stages, -np.inf, np.inf, value, fixed)
         return reference(self, "parameter", block.index)
 
     def rows(
@@ -252,7 +266,7 @@ class ProgramBuilder:
         lower: npt.ArrayLike,
         upper: npt.ArrayLike,
         value: npt.ArrayLike,
-        fixed: bool = False,
+        fixed: bool | npt.NDArray[np.bool_] = False,
     ) -> Block:
         self._check_new(name)
         offset = sum(b.size for b in blocks.values())

@@ -7,8 +7,8 @@ Constants of the formulas (blocks of fixed parameters) are coefficients, not par
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -88,7 +88,7 @@ def fold_affine(program: Program, placements: Iterable[Placement], size: int) ->
     n = program.n_variables
     matrix, offset = _Entries((size, n + program.n_parameters)), _Entries((size, 1))
     rest = []
-    for placement in placements:
+    for placement in _alike(program, placements):
         local = _Local(program, placement)
         slope = ca.jacobian(local.outputs, local.z)
         if ca.depends_on(slope, local.z):
@@ -110,7 +110,7 @@ def fold_quadratic(program: Program, placements: Iterable[Placement]) -> Quadrat
     total = n + program.n_parameters
     curvature, slope, constant = _Entries((total, total)), _Entries((total, 1)), 0.0
     rest = []
-    for placement in placements:
+    for placement in _alike(program, placements):
         local = _Local(program, placement)
         hessian, gradient = ca.hessian(local.outputs, local.z)
         if ca.depends_on(hessian, local.z):
@@ -125,6 +125,25 @@ def fold_quadratic(program: Program, placements: Iterable[Placement]) -> Quadrat
         constant += float(local.numbers(_at_zero(local.outputs, local.z)).sum())
     h, g = curvature.matrix(), slope.vector()
     return Quadratic(h[:n, :n], h[:n, n:], h[n:, n:], g[:n], g[n:], constant, tuple(rest))
+
+
+def _alike(program: Program, placements: Iterable[Placement]) -> Iterator[Placement]:
+    """Yield placements in parts in which a parameter is program data at every place or at none."""
+    for placement in placements:
+        fixed: npt.NDArray[np.bool_] = program.fixed_parameters[placement.parameters]
+        mixed = fixed[fixed.any(axis=1) & ~fixed.all(axis=1)]
+        if not mixed.size:
+            yield placement
+            continue
+        _, group = np.unique(mixed, axis=1, return_inverse=True)
+        for number in range(int(group.max()) + 1):
+            at = group.ravel() == number
+            yield replace(
+                placement,
+                variables=placement.variables[:, at],
+                parameters=placement.parameters[:, at],
+                into=placement.into[:, at],
+            )
 
 
 class _Local:

@@ -42,7 +42,7 @@ class Block:
     value
         Starting point of a variable, default of a parameter; zero for rows.
     fixed
-        Whether a parameter is program data that no instance may change.
+        Whether a parameter is program data that no instance may change: for all entries, or for each.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Block:
     lower: Array
     upper: Array
     value: Array
-    fixed: bool = False
+    fixed: bool | npt.NDArray[np.bool_] = False
 
     @property
     def size(self) -> int:
@@ -246,7 +246,7 @@ class Program:
     @cached_property
     def fixed_parameters(self) -> npt.NDArray[np.bool_]:
         """Mask of the entries of ``p`` that no instance may change."""
-        flags = [np.full(b.size, b.fixed) for b in self.parameters.values()]
+        flags = [np.broadcast_to(b.fixed, b.shape).ravel(order="F") for b in self.parameters.values()]
         return np.concatenate([*flags, np.zeros(0, dtype=bool)])
 
     @cached_property
@@ -273,7 +273,8 @@ class Program:
         Parameters
         ----------
         parameters
-            Values by parameter block, each broadcastable to ``(items, stages)``.
+            Values by parameter block, each broadcastable to ``(items, stages)``. Of a block that is program
+            data in part, that part stays as it is.
         lower, upper
             Bounds by variable block or row block.
         start
@@ -290,9 +291,10 @@ class Program:
         }
         for name, values in (parameters or {}).items():
             block = self._block(name, self.parameters, "parameter")
-            if block.fixed:
+            if np.all(block.fixed):
                 raise ProgramError(f"parameter {name!r}: fixed program data; no instance may change it")
-            new["parameters"][block.slice] = block.spread(values).ravel(order="F")
+            given = np.where(block.fixed, block.value, block.spread(values))
+            new["parameters"][block.slice] = given.ravel(order="F")
         for side, overrides in (("lower", lower), ("upper", upper)):
             for name, values in (overrides or {}).items():
                 block = self._block(name, {**self.variables, **self.rows}, "variable or row")

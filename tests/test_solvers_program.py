@@ -18,9 +18,11 @@ from solvers import (
     classify,
     largest,
     largest_by,
+    prepare,
     total,
 )
 from solvers.expression import _UFUNCS
+from solvers.folding import fold_affine
 
 
 def evaluate(
@@ -324,3 +326,19 @@ def test_misuse_of_expressions_is_refused() -> None:
         total(x) ** 2
     with pytest.raises(ProgramError, match=r"'z'.* lower bound 1 .* upper bound 0"):
         build.variable("z", 1, lower=1.0, upper=0.0)
+
+
+def test_a_parameter_that_is_program_data_in_part_keeps_the_other_coefficients_constant() -> None:
+    build = ProgramBuilder("partly")
+    x = build.variable("x", 3, 2, 0.0, 10.0)
+    p = build.parameter("p", 3, 2, [[2.0], [3.0], [4.0]], fixed=np.array([[True], [False], [True]]))
+    build.constrain("row", p * x >= 6.0)
+    build.minimize(total(x))
+    program = build.build()
+    folded = fold_affine(program, program.constraints, program.n_rows)
+    assert [placement.count for placement in folded.rest] == [2]
+    assert folded.a.nnz == 4
+    session = prepare(program, "clarabel")
+    for value in (3.0, 1.5):
+        solution = session.solve(program.instance({"p": [[99.0], [value], [99.0]]}))
+        assert solution.variable("x")[:, 0] == pytest.approx([3.0, 6.0 / value, 1.5], abs=1e-6)

@@ -67,6 +67,8 @@ class Model:
         Weight in $/(h p.u.²) of the squares of regularised quantities.
     shrinks
         Whether plans may begin at a later stage of the program; see :mod:`opfmodel.plan.shrinking`.
+    outages
+        Names of the components that solves may take out of service in any node.
 
     Attributes
     ----------
@@ -79,8 +81,6 @@ class Model:
         ``(1, nodes)``, or a parameter if the probabilities may vary.
     stage
         What objectives, costs of devices and constraints see: the regular nodes.
-    status
-        Share of each branch that is in service, ``(branches, stages)``; None if no branch ever goes out.
     starts
         Nodes at which plans may begin.
     series
@@ -106,6 +106,7 @@ class Model:
         split_shedding: bool = False,
         regularisation: float = 0.0,
         shrinks: bool = False,
+        outages: Iterable[str] = (),
     ) -> None:
         self.network = network
         self.regularisation = regularisation
@@ -129,7 +130,6 @@ class Model:
         )
         self.weight = self._hours_of(np.arange(len(horizon.regular)))
         self.stage = self if horizon.regular is horizon else RegularStage(self)
-        self.status = _status(network, horizon)
         self.published: dict[str, Published] = {}
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
@@ -140,6 +140,7 @@ class Model:
         self.devices: list[Device] = []
         self._declaring: str | None = None
         self.series = set(series)
+        self.outages = frozenset(outages)
         self._fields: dict[tuple[str, str], Expression] = {}
         self._quantities: dict[str, Quantities] = {}
         n_zones = int(zones.max()) + 1
@@ -575,16 +576,21 @@ class Model:
             else self.network.tables[kind].arrays.get(field)
         )
 
-    def parameter(self, kind: str, field: str) -> Expression:
+    def parameter(self, kind: str, field: str, fixed: bool | npt.NDArray[np.bool_] = False) -> Expression:
         """Return a field of the network as a parameter, ``(items, stages)``, which may change between solves.
 
         Infinite entries, which mean "no limit", are replaced as in :func:`number_of`.
+
+        Parameters
+        ----------
+        fixed
+            Entries that are program data.
         """
         if (kind, field) not in self._fields:
             table = self.network.tables[kind]
             name = f"{kind}.{field}"
             value = number_of(table.arrays[field], self.network)
-            self._fields[kind, field] = self.build.parameter(name, len(table), self.stages, value)
+            self._fields[kind, field] = self.build.parameter(name, len(value), self.stages, value, fixed)
             self.parameters[name] = (kind, field)
         return self._fields[kind, field]
 
@@ -596,6 +602,21 @@ class Model:
         self.parameters[name] = kind, value
         items, stages = shape
         return self.build.parameter(name, items, stages, given)
+
+    def of_status(
+        self, kind: str, name: str, value: Callable[[Table], Array], nodes: Index | None = None
+    ) -> Any:
+        """Return a number that follows from the status of the components of a kind.
+
+        A parameter if solves may take components of the kind out of service; else it is program data.
+        """
+        table, source = self.network.tables[kind], BoundSource(kind, 0.0, value, nodes)
+        if not self.outages & set(table.names):
+            return source.resolve(table)[1]
+        self.parameters[name] = kind, lambda table: source.resolve(table)[1]
+        items = value(table).shape[0]
+        stages = self.stages if nodes is None else nodes.size
+        return self.build.parameter(name, items, stages, source.resolve(table)[1])
 
     def price(
         self,
@@ -649,6 +670,18 @@ class Model:
         """Operating cost of all devices, $/h."""
         return sum_of_costs(self.devices, self)
 
+    @cached_property
+    def status(self) -> Any:
+        """1 for each branch that is in service, else 0, ``(branches, stages)``; None if none ever goes out.
+
+        A parameter for branches that a solve may take out of service; program data for all others.
+        """
+        table = self.network.branch
+        if ("branch", "status") not in self.series:
+            return None
+        moving = np.array([[name in self.outages] for name in table.names], dtype=bool)
+        return self.parameter("branch", "status", fixed=~moving) if moving.any() else table.status
+
     def switched(self, values: Any) -> Any:
         """Return a quantity of the branches, zero where a branch is out of service."""
         return values if self.status is None else values * self.status
@@ -657,22 +690,6 @@ class Model:
     def admittance(self) -> Admittance:
         """Admittances of the branches, zero where a branch is out of service."""
         return self.network.admittance if self.status is None else self.network.admittance * self.status
-
-
-def _status(network: PerUnitNetwork, horizon: Horizon) -> Array | None:
-    """Return 1 for each branch and node, and 0 where the branch is out of service."""
-    branch = network.branch
-    out = [
-        (branch.position[n], node)
-        for node, names in enumerate(horizon.out)
-        for n in names
-        if n in branch.position
-    ]
-    if not out:
-        return None
-    status = np.ones((len(branch), len(horizon)))
-    status[tuple(zip(*out, strict=True))] = 0.0
-    return status
 
 
 def _root(bound: Bound) -> Callable[[Table], Array]:

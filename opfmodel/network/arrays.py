@@ -19,19 +19,21 @@ from scipy.sparse.linalg import spsolve
 
 from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Storage
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
 from opfmodel.network.quantities import CURRENCY
 from opfmodel.network.units import scale
 
-__all__ = ["Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
+__all__ = ["OUTAGES", "Array", "Index", "PerUnitNetwork", "Table", "per_unit"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 
+# Kinds whose components may go out while the network is operated.
+OUTAGES = (Branch, Generator, Storage)
 # Plausible capacity in per unit on the declared base, from single households on 100 MVA to continents.
 _SMALLEST, _LARGEST = 1e-5, 1e4
 _PLAUSIBLE_VM = 0.1, 10.0  # p.u.
@@ -44,7 +46,8 @@ class Table:
     A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
     gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
     per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
-    owners of segments (``segment_owner``) and flags are vectors.
+    owners of segments (``segment_owner``) and flags are vectors. The ``status`` of a branch, generator or
+    storage is 1 in service and 0 while it is out.
 
     Attributes
     ----------
@@ -391,11 +394,15 @@ def _table(
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
             arrays |= _cost_arrays(values, base_mva)
+    if kind in OUTAGES:
+        arrays["status"] = np.ones((len(members), 1))
     for array in arrays.values():
         array.flags.writeable = False
     units = {name: field.unit for name, field in kind.table_fields().items()}
     if "segment_slope" in arrays:
         units |= {"segment_slope": "$/MWh", "segment_offset": "$/h"}
+    if "status" in arrays:
+        units |= {"status": ""}
     return Table(kind, tuple(members), arrays, units, base_mva)
 
 

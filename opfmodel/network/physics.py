@@ -39,7 +39,7 @@ class Admittance:
         """Select branches."""
         return Admittance(*(getattr(self, field.name)[key] for field in fields(self)))
 
-    def __mul__(self, factor: Array) -> Admittance:
+    def __mul__(self, factor: Any) -> Admittance:
         """Multiply the entries of each branch, with 0 for a branch that is out of service."""
         return Admittance(*(getattr(self, field.name) * factor for field in fields(self)))
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from opfmodel.errors import ModelError, shown
 from opfmodel.plan.multistage import MultiStage
+from opfmodel.plan.outages import cut_off
 from opfmodel.plan.response import Outcome, Responses, Stage, stages_of
 from opfmodel.plan.result import Plan
-from opfmodel.plan.security import Security, cut_off
+from opfmodel.plan.security import Security
 
 if TYPE_CHECKING:
     from opfmodel.plan.power_flow_result import PowerFlowResult
@@ -104,10 +105,11 @@ def assess(dispatch: Plan | PowerFlowResult, security: Security | None = None) -
     own = problem.security or Security() if security is None else security
     if not isinstance(own, Security):
         raise ModelError(f"security = {shown(own)}: must be None or an object of class Security")
-    every = own.outages(problem.peak)
+    already = dispatch.request.out if isinstance(dispatch, Plan) else ()
     responses = Responses(problem, own)
-    outcomes = [outcome for stage in stages for outcome in responses.outcomes(stage, every)]
-    return Assessment(tuple(outcomes), tuple(Cut(*cut) for cut in cut_off(problem.peak)))
+    outages = responses.possible(already)
+    outcomes = [outcome for stage in stages for outcome in responses.outcomes(stage, outages, already)]
+    return Assessment(tuple(outcomes), tuple(Cut(*cut) for cut in cut_off(problem.peak, already)))
 
 
 def _stage_of(flow: PowerFlowResult) -> tuple[MultiStage, list[Stage]]:

@@ -9,6 +9,7 @@ from opfmodel.errors import IncompatibleError, ModelError, QuantityError, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Model
 from opfmodel.network.series import fields_with_series, widest
+from opfmodel.plan.outages import lost_fields, status_at
 from opfmodel.plan.parts import absent_devices, publishing
 from opfmodel.plan.result import penalty_outputs
 from opfmodel.plan.security import outage_fields
@@ -85,8 +86,11 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
     A kind without components in service publishes its quantities, all empty, if the objective needs one.
     """
     own = {key: values[:, :1] for key, values in problem.series_of(problem.objective).items()}
+    lost = lost_fields(problem.arrays, horizon, problem.outages)
+    at_nodes = status_at(problem.arrays, horizon)
+    status = {(kind, field): at_nodes[kind] for kind, field in lost if field == "status"}
     model = Model(
-        problem.arrays.with_series({**widest(problem.profiles, problem.arrays), **own}),
+        problem.arrays.with_series({**widest(problem.profiles, problem.arrays), **own, **status}),
         horizon,
         delay=problem.generator_delay,
         reactive=problem.formulation.reactive,
@@ -94,12 +98,14 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         series={
             *fields_with_series(problem.profiles, problem.arrays),
             *own,
-            *outage_fields(problem.security, horizon, problem.arrays),
+            *outage_fields(problem.security, horizon),
+            *lost,
         },
         elastic=problem.elastic,
         split_shedding=problem.split_shedding,
         regularisation=problem.regularisation,
         shrinks=problem.at_end == "shrink",
+        outages=problem.outages,
     )
     problem.formulation.declare(model)
     for device in problem.devices:

@@ -33,12 +33,14 @@ from opfmodel.plan.end import End
 from opfmodel.plan.extent import AtEnd, check_lengths, steps_from
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.nodes import over_nodes
+from opfmodel.plan.outages import check_declared
 from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
+from opfmodel.plan.response import Responses
 from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
 from opfmodel.plan.screening import screened
-from opfmodel.plan.security import Security
+from opfmodel.plan.security import NOTHING, Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
 from opfmodel.plan.solving import solved
 from solvers import Program, Session
@@ -54,8 +56,8 @@ Contingency = tuple[int, tuple[str, ...]]  # a stage, and the components that go
 _STATED = frozenset(
     (
         "network", "horizon", "arrays", "formulation", "objective", "profiles", "generator_delay",
-        "end", "regularisation", "elastic", "risk", "security", "devices", "at_end", "solver", "options",
-        "verbose",
+        "end", "regularisation", "elastic", "risk", "security", "outages", "devices", "at_end", "solver",
+        "options", "verbose",
     )
 )  # fmt: skip
 
@@ -96,6 +98,9 @@ class MultiStage:
         Risk aversion over the scenarios of a tree; by default the expected cost is minimised.
     security
         Outages that every stage must survive; see :class:`Security`. None by default.
+    outages
+        Names of the branches, generators and storages that a solve may take as out of service; see the
+        argument ``out`` of :meth:`solve`.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     at_end
@@ -139,6 +144,7 @@ class MultiStage:
         elastic: Elastic | None = None,
         risk: Risk | None = None,
         security: Security | None = None,
+        outages: Iterable[str] = (),
         devices: Iterable[Device] = (),
         at_end: AtEnd = "error",
         solver: str = "auto",
@@ -172,6 +178,7 @@ class MultiStage:
         needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive)
         check_memory(f"horizon = {stages:,}", needed)
         self.horizon = self._horizon(horizon, step)
+        self.outages = check_declared(outages, self.peak)
         self.security = security
         if security is not None:
             self._check_secured(elastic)
@@ -375,18 +382,31 @@ class MultiStage:
         twin.objective = self.objective if objective is None else objective
         return twin
 
-    def contingency_problem(self, security: Security, out: str) -> MultiStage:
-        """Return the problem of one stage and one outage after it, with soft limits and no other cost."""
-        after = Horizon.chain(1, self.step).with_contingencies([(0, (out,))], security.response_minutes)
+    def contingency_problem(self, security: Security, outages: Sequence[str]) -> MultiStage:
+        """Return the problem of one stage and one outage after it, with soft limits and no other cost.
+
+        Parameters
+        ----------
+        outages
+            The components that may go out; which of them does, if any, is stated by each solve.
+        """
+        after = Horizon.chain(1, self.step).with_contingencies([(0, (NOTHING,))], security.response_minutes)
         alone = self.variant(elastic=Elastic(), objective=Nothing(self.objective), horizon=after)
         alone._check_secured(alone.elastic)
         alone.security, alone.risk, alone.constraints = security, None, {}
+        alone.outages = tuple(dict.fromkeys([*self.outages, *outages, NOTHING]))
         return alone
 
     def include(self, contingencies: Iterable[Contingency]) -> None:
         """Include contingencies, which screening has found, in what is solved from now on."""
         self.included = (*self.included, *contingencies)
         vars(self).pop("secured", None)
+
+    @cached_property
+    def responses(self) -> Responses:
+        """What follows from the outages that plans must survive."""
+        assert self.security is not None
+        return Responses(self, self.security)
 
     @cached_property
     def secured(self) -> MultiStage:
@@ -580,6 +600,7 @@ class MultiStage:
         multipliers: bool = True,
         expected: Mapping[tuple[str, str], Array] | None = None,
         horizon: Horizon | None = None,
+        out: Sequence[str] = (),
     ) -> Plan:
         """Solve for the stages from ``time`` on.
 
@@ -604,6 +625,10 @@ class MultiStage:
             :meth:`expected`.
         horizon
             The horizon with other probabilities, if it declares that they vary.
+        out
+            Names of components that are out of service from ``time`` on, of those declared as
+            :attr:`outages`; their return is not known in advance. A contingency that would now split the
+            grid is left out.
 
         Returns
         -------
@@ -613,7 +638,7 @@ class MultiStage:
             are :attr:`Elastic.traded`.
         """
         nodes = self.horizon if horizon is None else horizon
-        request = Request(time, initial, self.end if end is None else end, expected, nodes)
+        request = Request(time, initial, self.end if end is None else end, expected, nodes, tuple(out))
         if self.security is not None and self.security.screen:
             return screened(self, request, previous, multipliers)
         return self.solve_request(request, previous, multipliers)

@@ -26,3 +26,4 @@ class Request:
     end: End
     expected: Mapping[tuple[str, str], npt.NDArray[np.float64]] | None
     horizon: Horizon
+    out: tuple[str, ...] = ()

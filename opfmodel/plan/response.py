@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from opfmodel.model.elastic import shortages
 from opfmodel.network.components import BUILT_IN
 from opfmodel.network.outages import ACOutages, DCOutages, Reserve
 from opfmodel.plan.end import End
+from opfmodel.plan.outages import free_rows, splitting
 from opfmodel.plan.request import Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import NOTHING, Security
@@ -113,65 +115,124 @@ def stages_of(plan: Plan) -> list[Stage]:
 
 
 class Responses:
-    """The problem of an outage after a stage, and what follows from it.
+    """What follows from outages after the stages of a plan.
+
+    One problem is compiled for all of them: a stage that is given, and the state after an outage, which is
+    data.
 
     Parameters
     ----------
     problem
         The problem of the plan that is assessed.
     security
-        Permitted response.
+        Outages and permitted response.
     """
 
     def __init__(self, problem: MultiStage, security: Security) -> None:
-        self.problem, self.security = problem, security
-        self._trials: dict[str, _Trial] = {}
+        self.security = security
+        self.peak = problem.peak
+        self.outages = security.outages(self.peak)
+        self.problem = problem.contingency_problem(security, self.outages)
 
-    def outcomes(self, stage: Stage, outages: Sequence[str]) -> list[Outcome]:
+    def possible(self, already: Sequence[str]) -> list[str]:
+        """Return the outages that may follow when some components are out already."""
+        never = {*already, *splitting(self.peak, already)} if already else set()
+        return [out for out in self.outages if out not in never]
+
+    def outcomes(self, stage: Stage, outages: Sequence[str], already: tuple[str, ...] = ()) -> list[Outcome]:
         """Return what follows from each outage after a stage.
 
-        Outages whose flows, from the most central state that a response reaches, are within limits are
-        secure. Of the others, their own problem tells.
+        First the response to no outage at all is found. Without an objective, an interior-point method finds
+        one that is far from all limits. Outages of branches that this same response survives are secure. Of
+        each other one, its own problem tells.
+
+        Parameters
+        ----------
+        already
+            Components that are out of service in the stage.
         """
-        passed = self._survived(stage, outages)
+        if not outages:
+            return []
+        central = self._response(stage, NOTHING, already)
+        passed = self._survived(central, outages)
         return [
             Outcome(out, stage.scenario, stage.number, "secure", None)
             if out in passed
-            else self._trial(out).outcome(stage)
+            else self._outcome(stage, out, already, central)
             for out in outages
         ]
 
-    def _trial(self, out: str) -> _Trial:
-        if out not in self._trials:
-            self._trials[out] = _Trial(self.problem, self.security, out)
-        return self._trials[out]
+    def _response(
+        self, stage: Stage, out: str, already: tuple[str, ...], previous: Plan | None = None
+    ) -> Plan:
+        """Return the state that lacks least after an outage."""
+        problem = self.problem
+        horizon = replace(problem.horizon, out=((), (out,)))
+        expected = {
+            (kind, field): values[:, [min(stage.column, values.shape[1] - 1)]]
+            for kind, field in problem.model.series
+            for values in (stage.network.tables[kind].arrays[field],)
+        }
+        request = Request(stage.time, {}, End(), expected, horizon, already)
+        return problem.solve_once(request, previous, limits=dict(self._given(stage.state)))
 
-    def _survived(self, stage: Stage, outages: Sequence[str]) -> set[str]:
-        """Return the outages of branches that one and the same response survives.
+    def _outcome(self, stage: Stage, out: str, already: tuple[str, ...], central: Plan) -> Outcome:
+        """Return what follows from an outage after a stage."""
+        plan = self._response(stage, out, already, central)
+        worst = self._worst(plan) if plan.optimal else None
+        status = "violated" if worst or plan.infeasible else "secure" if plan.optimal else "diverged"
+        return Outcome(out, stage.scenario, stage.number, status, worst)
 
-        With the interior-point method and no objective, that response is far from all limits.
-        """
-        physics, known = self.problem.formulation.physics, stage.network.branch.position
+    def _survived(self, central: Plan, outages: Sequence[str]) -> set[str]:
+        """Return the outages of branches that one response survives, of those that flows can tell."""
+        physics, known = self.problem.formulation.physics, central.network.branch.position
         out = [name for name in outages if name in known]
         built_in = all(device.component in BUILT_IN for device in self.problem.devices)
-        if physics is None or not built_in or not out:
+        if physics is None or not built_in or not out or not central.optimal or central.short:
             return set()
-        response = self._trial(NOTHING).plan(stage)
-        if not response.optimal or response.short:
-            return set()
-        test = (_ac_outages if physics == "ac" else _dc_outages)(response, self.security)
+        test = (_ac_outages if physics == "ac" else _dc_outages)(central, self.security)
         survived = test.survived(np.array([known[name] for name in out], dtype=np.intp))
         return {name for name, passes in zip(out, survived, strict=True) if passes}
+
+    def _given(self, state: State) -> Iterator[tuple[str, tuple[Array, Array]]]:
+        """Yield the bounds that fix the variables of the stage, and free the rows that led to them."""
+        model, program = self.problem.model, self.problem.compile()
+        for name, block in program.variables.items():
+            declared = model.published.get(name) or model.states.get(name) or model.bounds.get(name)
+            values = None if declared is None or declared.kind == "branch" else state(name)
+            nodes = model.horizon.columns(block.stages)
+            if values is None or nodes is None:
+                continue
+            fixed = np.full(block.shape, np.nan)
+            fixed[:, nodes == 0] = values[:, None]
+            yield name, (fixed, fixed)
+        yield from free_rows(model, program, np.array([-1, 0]))
+
+    def _worst(self, plan: Plan) -> Worst | None:
+        elastic, horizon = self.problem.elastic, plan.request.horizon
+        assert elastic is not None
+        times = self.problem.times(plan.time, horizon)
+        slacks = plan.model.slacks.values()
+        lacking = [
+            shortage
+            for shortage in shortages(slacks, plan.solution, plan.whole, elastic, horizon, times)
+            if shortage.hypothetical
+        ]
+        if not lacking:
+            return None
+        most = lacking[0]
+        return Worst(most.kind, most.component, most.soft.limit, most.worst, most.unit, str(most))
 
 
 def _dc_outages(response: Plan, security: Security) -> DCOutages:  # noqa: ARG001
     """Return the flows after outages from the state of a response, if they are linear."""
     network, branch = response.whole.over(_AFTER), response.whole.branch
     formulation: Any = response.problem.formulation
+    status = branch.status[:, _AFTER]
     va = response.solution.value("va")[:, _AFTER]
     angle = va[branch.from_bus] - va[branch.to_bus]
     flow = response.solution.value("pf")[:, _AFTER]
-    slope = formulation.flow(network, angle + 1.0) - formulation.flow(network, angle)
+    slope = (formulation.flow(network, angle + 1.0) - formulation.flow(network, angle)) * status
     return DCOutages(network, flow[:, 0], slope[:, 0], angle[:, 0])
 
 
@@ -197,65 +258,5 @@ def _ac_outages(response: Plan, security: Security) -> ACOutages:
     q_up, q_down = units.q_max[:, 0] - qg[:, 1], qg[:, 1] - units.q_min[:, 0]
     droop = _DROOP if security.response == "corrective" else 0.0
     return ACOutages(
-        network, np.ones(len(network.branch)), vm, va, Reserve(up, down, share, q_up, q_down, droop)
+        network, network.branch.status[:, 0], vm, va, Reserve(up, down, share, q_up, q_down, droop)
     )
-
-
-class _Trial:
-    """The problem of one contingency: a stage that is given, and the state after an outage."""
-
-    def __init__(self, problem: MultiStage, security: Security, out: str) -> None:
-        self.out = out
-        self.problem = problem.contingency_problem(security, out)
-
-    def plan(self, stage: Stage) -> Plan:
-        """Return the state that lacks least after the outage."""
-        problem = self.problem
-        expected = {
-            (kind, field): values[:, [min(stage.column, values.shape[1] - 1)]]
-            for kind, field in problem.model.series
-            for values in (stage.network.tables[kind].arrays[field],)
-        }
-        request = Request(stage.time, {}, End(), expected, problem.horizon)
-        return problem.solve_once(request, limits=dict(self._given(stage.state)))
-
-    def outcome(self, stage: Stage) -> Outcome:
-        """Return what follows from the outage after a stage."""
-        plan = self.plan(stage)
-        worst = self._worst(plan) if plan.optimal else None
-        status = "violated" if worst or plan.infeasible else "secure" if plan.optimal else "diverged"
-        return Outcome(self.out, stage.scenario, stage.number, status, worst)
-
-    def _given(self, state: State) -> Iterator[tuple[str, tuple[Array, Array]]]:
-        """Yield the bounds that fix the variables of the stage, and free the rows that led to them."""
-        model, program = self.problem.model, self.problem.compile()
-        for name, block in program.variables.items():
-            declared = model.published.get(name) or model.states.get(name) or model.bounds.get(name)
-            values = None if declared is None or declared.kind == "branch" else state(name)
-            nodes = model.horizon.columns(block.stages)
-            if values is None or nodes is None:
-                continue
-            fixed = np.full(block.shape, np.nan)
-            fixed[:, nodes == 0] = values[:, None]
-            yield name, (fixed, fixed)
-        for name, block in program.rows.items():
-            source = model.bounds.get(name)
-            nodes = np.arange(2) if source is None or source.nodes is None else source.nodes
-            if nodes.size == block.stages:
-                free = np.where(np.broadcast_to(nodes <= 0, block.shape), np.inf, np.nan)
-                yield name, (-free, free)
-
-    def _worst(self, plan: Plan) -> Worst | None:
-        elastic, horizon = self.problem.elastic, plan.request.horizon
-        assert elastic is not None
-        times = self.problem.times(plan.time, horizon)
-        slacks = plan.model.slacks.values()
-        lacking = [
-            shortage
-            for shortage in shortages(slacks, plan.solution, plan.whole, elastic, horizon, times)
-            if shortage.hypothetical
-        ]
-        if not lacking:
-            return None
-        most = lacking[0]
-        return Worst(most.kind, most.component, most.soft.limit, most.worst, most.unit, str(most))

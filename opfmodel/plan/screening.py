@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from opfmodel.plan.request import Request
-from opfmodel.plan.response import Outcome, Responses, stages_of
+from opfmodel.plan.response import Outcome, stages_of
 from opfmodel.plan.result import Plan
 
 if TYPE_CHECKING:
@@ -53,7 +53,8 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
     """
     security = problem.security
     assert security is not None
-    every, responses = security.outages(problem.peak), Responses(problem, security)
+    responses = problem.responses
+    possible = responses.possible(request.out)
     rounds: list[Round] = []
     solved: list[Plan] = []
     while True:
@@ -71,7 +72,7 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
             outcome
             for stage in (stages_of(plan) if plan.optimal else ())
             for outcome in responses.outcomes(
-                stage, [out for out in every if (stage.number, (out,)) not in known]
+                stage, [out for out in possible if (stage.number, (out,)) not in known], request.out
             )
             if outcome.status != "secure"
         )

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
@@ -14,26 +13,21 @@ from opfmodel.devices.held import divide
 from opfmodel.errors import SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
-from opfmodel.network.arrays import Index, PerUnitNetwork
+from opfmodel.model.declared import Bound
+from opfmodel.network.arrays import Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.network import name_pattern
+from opfmodel.plan.outages import splitting
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
 
-__all__ = ["NOTHING", "Security", "at_contingencies", "cut_off", "outage_fields", "splitting"]
+__all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "splitting"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
 
 KINDS = {"branches": "branch", "generators": "generator", "storages": "storage"}
 
-_FREE = 4 * np.pi  # rad; no angle difference is limited to it
-# What a component that is out of service is limited to.
-_OUT: Mapping[str, Mapping[str, float]] = {
-    "branch": {"angle_min": -_FREE, "angle_max": _FREE},
-    "generator": {"p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
-    "storage": {"power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
-}
 # A preventive response takes no time: neither ramps nor energy limit it.
 _HELD: Mapping[tuple[str, str], float] = {("generator", "ramp"): np.inf}
 NOTHING = ""  # the name of no component: a contingency in which nothing is lost
@@ -165,13 +159,9 @@ class Security:
 
     def hold(self, model: Model) -> None:
         """State in a model what a preventive response leaves as it was before the outage."""
-        if self.response == "corrective" or not model.horizon.contingencies.size:
+        nodes = model.horizon.contingencies
+        if self.response == "corrective" or not nodes.size:
             return
-        for number, (lost, nodes) in enumerate(_alike(model.horizon, model.network)):
-            self._hold(model, lost, nodes, f"held {number}")
-
-    def _hold(self, model: Model, lost: frozenset[str], nodes: Index, what: str) -> None:
-        """Hold the state of contingencies in which the same units and storages are lost."""
         network, before = model.network, model.horizon.owner[nodes]
         decided = [
             (name, p) for name, p in model.published.items()
@@ -180,85 +170,64 @@ class Security:
             and not (name in model.states and model.states[name].role == "stock")
         ]  # fmt: skip
         for name, published in decided:
-            table, block = network.tables[published.kind], model.build.variables[name]
+            kind, block = published.kind, model.build.variables[name]
             moves = (block.spread(block.lower) < block.spread(block.upper)).any(axis=1)
-            left = np.array([n not in lost for n in table.names], dtype=bool)
-            kept = np.flatnonzero(np.asarray(moves) & left)
+            kept = np.flatnonzero(np.asarray(moves))
             if name == "qg" or not kept.size:
                 continue
             change = published.values[kept][:, nodes] - published.values[kept][:, before]
             if name == "pg":
-                change = change - self._slack(model, kept, nodes, what)
-            model.rows(published.kind, f"{name} {what}", change, 0.0, 0.0)
+                change = change - self._slack(model, kept, nodes)
+            model.rows(kind, f"{name} held", change, *_unless_lost(kept), nodes=nodes)
         units = network.generator
-        at = np.unique([units.bus[i] for i, name in enumerate(units.names) if name not in lost])
+        at, position = np.unique(units.bus, return_inverse=True)
         magnitude = model.published.get("w") or model.published.get("vm")
         if magnitude is not None and at.size:
             change = magnitude.values[at][:, nodes] - magnitude.values[at][:, before]
-            model.rows("bus", f"voltage {what}", change, 0.0, 0.0)
+            bounds = _unless_lost(np.arange(len(units)), position)
+            model.rows("generator", "voltage held", change, *bounds, nodes=nodes)
 
-    def _slack(self, model: Model, kept: Index, nodes: Index, what: str) -> Expression:
+    def _slack(self, model: Model, kept: Index, nodes: Index) -> Expression:
         """Return what each unit that is left adds, its share in the slack of its island."""
         network, units = model.network, model.network.generator
         weights = participation_of(units, np.ones(len(units), dtype=bool), self.participation)[kept]
         island = network.island[units.bus[kept]]
-        slack = model.build.variable(f"slack {what}", network.n_islands, nodes.size)
-        added: Expression = divide(weights, island)[:, None] * slack[island]
+
+        def shares(table: Table) -> Array:
+            left = weights[:, None] * table.status[kept]
+            return np.column_stack([divide(column, island) for column in left.T])
+
+        slack = model.build.variable("slack held", network.n_islands, nodes.size)
+        share = model.of_status("generator", "share held", shares, nodes)
+        added: Expression = share * slack[island]
         return added
 
 
-def _alike(horizon: Horizon, network: PerUnitNetwork) -> list[tuple[frozenset[str], Index]]:
-    """Return the contingencies in which the same components other than branches are lost."""
-    groups: dict[frozenset[str], list[int]] = {}
-    for node in horizon.contingencies.tolist():
-        lost = frozenset(horizon.out[node]) - set(network.branch.names)
-        groups.setdefault(lost, []).append(node)
-    return [(lost, np.array(nodes, dtype=np.intp)) for lost, nodes in groups.items()]
+def _unless_lost(items: Index, row: Index | None = None) -> tuple[Bound, Bound]:
+    """Return the bounds of rows that hold what belongs to some items, unless all items of a row are out.
 
-
-def splitting(network: PerUnitNetwork) -> dict[str, float]:
-    """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW."""
-    return {name: load for name, load, _ in cut_off(network)}
-
-
-def cut_off(network: PerUnitNetwork) -> list[tuple[str, float, float]]:
-    """Return each branch whose outage splits the grid, with peak demand and capacity that it cuts off, MW.
-
-    Those of the part of the island without the reference bus.
+    Parameters
+    ----------
+    row
+        Row to which each item belongs, if there is not one per item.
     """
-    branch = network.branch
-    graph = nx.Graph()
-    graph.add_nodes_from(range(len(network.bus)))
-    ends = list(zip(branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True))
-    graph.add_edges_from(ends)
-    pairs = [frozenset(pair) for pair in ends]
-    demand = network.at_buses("load", network.load.p).max(axis=1) * network.base_mva
-    capacity = network.at_buses("generator", network.generator.p_max).max(axis=1) * network.base_mva
-    made = []
-    for bridge in list(nx.bridges(graph)):
-        of = [number for number, pair in enumerate(pairs) if pair == frozenset(bridge)]
-        if len(of) > 1:
-            continue  # circuits in parallel
-        graph.remove_edge(*bridge)
-        parts = [nx.node_connected_component(graph, bus) for bus in bridge]
-        cut = next((part for part in parts if not part & set(network.reference.tolist())), parts[-1])
-        graph.add_edge(*bridge)
-        lost = list(cut)
-        made.append((branch.names[of[0]], float(demand[lost].sum()), float(capacity[lost].sum())))
-    return made
+
+    def most(table: Table) -> Array:
+        status = table.arrays.get("status", np.ones((len(table), 1)))[items]
+        left = status if row is None else np.zeros((int(row.max()) + 1, status.shape[1]))
+        if row is not None:
+            np.maximum.at(left, row, status)
+        return np.where(left > 0, 0.0, np.inf)
+
+    return lambda table: -most(table), most
 
 
-def outage_fields(
-    security: Security | None, horizon: Horizon, network: PerUnitNetwork
-) -> list[tuple[str, str]]:
-    """Return the fields that change in contingencies, by ``(kind, field)``."""
+def outage_fields(security: Security | None, horizon: Horizon) -> list[tuple[str, str]]:
+    """Return the fields that differ in contingencies whatever goes out, by ``(kind, field)``."""
     if security is None or not horizon.contingencies.size:
         return []
-    out = {name for names in horizon.out for name in names}
-    kinds = [kind for kind in _OUT if out & set(network.tables[kind].names)]
     held = _HELD if security.response == "preventive" else {}
-    fields = [("branch", "rating"), *held, *((kind, field) for kind in kinds for field in _OUT[kind])]
-    return list(dict.fromkeys(fields))
+    return [("branch", "rating"), *held]
 
 
 def _rating_after(
@@ -276,21 +245,29 @@ def _rating_after(
 
 
 def at_contingencies(
-    series: Mapping[tuple[str, str], Array], security: Security, horizon: Horizon, network: PerUnitNetwork
+    series: Mapping[tuple[str, str], Array],
+    security: Security | None,
+    horizon: Horizon,
+    network: PerUnitNetwork,
+    idle: Index,
 ) -> Fields:
-    """Return series at the nodes with the fields that change in contingencies."""
+    """Return series at the nodes with the fields that differ in contingencies.
+
+    Parameters
+    ----------
+    idle
+        Contingencies that cannot happen: nothing is limited in them.
+    """
     made = dict(series)
-    for kind, field in outage_fields(security, horizon, network):
+    for kind, field in outage_fields(security, horizon):
+        assert security is not None
         table = network.tables[kind]
         values = series.get((kind, field), table.arrays[field])
         values = np.array(np.broadcast_to(values, (len(table), len(horizon))))
         if field == "rating":
             values[:, horizon.contingencies] = _rating_after(series, security, values, horizon, network)
-        if security.response == "preventive" and (kind, field) in _HELD:
+            values[:, idle] = np.inf
+        else:
             values[:, horizon.contingencies] = _HELD[kind, field]
-        for node in horizon.contingencies:
-            for name in horizon.out[node]:
-                if field in _OUT.get(kind, {}) and name in table.position:
-                    values[table.position[name], node] = _OUT[kind][field]
         made[kind, field] = values
     return made

@@ -17,6 +17,7 @@ from opfmodel.network.units import scale
 from opfmodel.plan.compiled import Compiled
 from opfmodel.plan.nodes import at_nodes, mean_of_futures
 from opfmodel.plan.numbers import Numbers
+from opfmodel.plan.outages import check_stated, free_rows, idle, lost_fields, status_at, without
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import at_contingencies
@@ -52,11 +53,16 @@ def solved(
     model, program, session = compiled.model, compiled.program, compiled.session
     _check(request, problem, compiled, previous)
     horizon = problem.horizon_from(time)
+    if len(horizon) == len(request.horizon):
+        horizon = request.horizon
     begin = problem.stages - len(horizon.regular)
     series = {**problem.ahead(time), **(request.expected or {})}
-    if problem.security is not None:
+    never = idle(problem.arrays, horizon, request.out)
+    lost = lost_fields(problem.arrays, horizon, problem.outages)
+    if lost or problem.security is not None:
         series = {key: _of_owners(values, horizon) for key, values in series.items()}
-        series = at_contingencies(series, problem.security, horizon, problem.arrays)
+        series = at_contingencies(series, problem.security, horizon, problem.arrays, never)
+        series = without(series, problem.arrays, status_at(problem.arrays, horizon, request.out, never), lost)
     network = problem.arrays.with_series(series)
     numbers = _numbers(problem, compiled, network, series, begin)
     if model.horizon.varying:
@@ -81,7 +87,7 @@ def solved(
                 at_nodes([low[None, :]], nodes, "max"),
                 at_nodes([high[None, :]], nodes, "min"),
             )
-    for name, (lower, upper) in (limits or {}).items():
+    for name, (lower, upper) in {**dict(free_rows(model, program, never)), **(limits or {})}.items():
         numbers.limit(name, lower, upper)
     instance = numbers.instance()
     start, effort = _from_previous(previous, program, request, begin, multipliers), 0.0
@@ -108,10 +114,12 @@ def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: 
         and previous.problem is not problem
         and previous.solution.x.size != program.n_variables
         and not (
-            previous.problem.is_variant_of(problem) and previous.request.horizon.out != request.horizon.out
+            previous.problem.is_variant_of(problem) and len(previous.request.horizon) != len(request.horizon)
         )
     ):
         raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
+    if request.out:
+        check_stated(request.out, problem.outages, problem.peak)
     for key in request.expected or {}:
         if key not in model.series:
             known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"
@@ -119,8 +127,11 @@ def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: 
     for name in request.initial or {}:
         if name not in model.states:
             raise ModelError(f"initial: no state is named {name!r}; states: {', '.join(model.states)}")
-    own = model.horizon
-    if request.horizon is not own and not (own.varying and own.same_nodes(request.horizon)):
+    own, given = model.horizon, request.horizon
+    if {name for names in given.out for name in names} <= set(problem.outages):
+        given = replace(given, out=own.out)  # which component goes out is data
+    same = own.varying or np.array_equal(own.probability, given.probability)
+    if given is not own and not (same and own.same_nodes(given)):
         raise ModelError(
             "horizon: may differ from that of the problem in probabilities alone, if these are varying"
         )
@@ -158,14 +169,14 @@ def _from_previous(
         return None
     steps = max(time - previous.time - (begin - previous.solution.skipped), 0)
     before, after = previous.request.horizon, request.horizon
-    if before.out != after.out:  # screening has found more contingencies
+    if len(before) != len(after):  # screening has found more contingencies
         start = moved(previous.solution, before, before, steps)
-        start = grown(start, previous.solution.program, before, program, after)
-        return start if multipliers else Start(start.x)
+        return grown(start, previous.solution.program, before, program, after)
     start = moved(previous.solution, before, after, steps)
     if previous.solution.program is not program:  # from another elastic variant of the problem
         return Start(start.x) if start.x.size == program.n_variables else None
-    return start if multipliers else Start(start.x)
+    same = previous.request.out == request.out  # else other limits bind
+    return start if multipliers and same else Start(start.x)
 
 
 def _from_expected(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +43,7 @@ def moved(solution: Solution, before: Horizon, after: Horizon, steps: int) -> St
         nodes = after.columns(block.stages)
         return 1.0 if nodes is None else np.where(nodes < 0, 1.0, factor[nodes])
 
-    return solution.rearranged(columns, scaled, moved=steps)
+    return solution.rearranged(columns, scaled, moved=steps or int(before.out != after.out))
 
 
 def lifted(solution: Solution, program: Program, horizon: Horizon) -> Start:
@@ -57,48 +57,53 @@ def lifted(solution: Solution, program: Program, horizon: Horizon) -> Start:
     program, horizon
         The problem to start; the nodes of the solution are the moments of its horizon.
     """
-    factor = horizon.probability
-    return _carried(
-        solution.start(), solution.program, horizon.trunk, program, horizon, horizon.depth, factor
+    of = solution.program
+    carried = _carrier(horizon.trunk, horizon, horizon.depth, horizon.probability)
+    return Start(
+        carried(solution.x, of.variables, program.variables, dual=False),
+        carried(solution.lam_x, of.variables, program.variables, dual=True),
+        carried(solution.lam_g, of.rows, program.rows, dual=True),
+        moved=1,
     )
 
 
-def grown(start: Start, before: Program, known: Horizon, program: Program, horizon: Horizon) -> Start:
-    """Return the start of a problem as that of the same problem with other contingencies.
+def grown(start: Start, of: Program, before: Horizon, program: Program, after: Horizon) -> Start:
+    """Return the primal start of a problem as that of the same problem with more contingencies.
 
-    Every node starts from itself, and a new contingency from its owner, with multipliers of zero.
+    Every node starts from itself, and a new contingency from its owner. Of multipliers nothing is known there;
+    with zeros in their place IPOPT takes two to three times as many iterations as with none at all.
 
     Parameters
     ----------
-    before, known
+    of, before
         The problem of the start, and its horizon.
-    program, horizon
+    program, after
         The problem to start, and its horizon.
     """
-    named = {(int(known.owner[node]), known.out[node]): node for node in known.contingencies.tolist()}
-    source, factor = horizon.owner.copy(), np.ones(len(horizon))
-    for node in horizon.contingencies.tolist():
-        found = named.get((int(horizon.owner[node]), horizon.out[node]))
-        source[node], factor[node] = (source[node], 0.0) if found is None else (found, 1.0)
-    return _carried(start, before, known, program, horizon, source, factor)
+    known = {(int(before.owner[node]), before.out[node]): node for node in before.contingencies.tolist()}
+    source = after.owner.copy()
+    for node in after.contingencies.tolist():
+        source[node] = known.get((int(source[node]), after.out[node]), source[node])
+    carried = _carrier(before, after, source, np.ones(len(after)))
+    return Start(carried(start.x, of.variables, program.variables, dual=False))
 
 
-def _carried(
-    start: Start,
-    of: Program,
-    known: Horizon,
-    program: Program,
-    horizon: Horizon,
-    source: Index,
-    factor: Array,
-) -> Start:
-    """Return a start on another program, whose nodes take that of ``source``; multipliers by a factor."""
+def _carrier(before: Horizon, after: Horizon, source: Index, factor: Array) -> Callable[..., Array]:
+    """Return a function that carries a vector to blocks over other nodes, by the names of the blocks.
 
-    def carry(vector: Array, blocks: Mapping[str, Block], own: Mapping[str, Block], dual: bool) -> Array:
+    Parameters
+    ----------
+    source
+        Node of ``before`` for each node of ``after``.
+    factor
+        Factor of multipliers at each node.
+    """
+
+    def carried(vector: Array, own: Mapping[str, Block], blocks: Mapping[str, Block], *, dual: bool) -> Array:
         made = [np.zeros(0)]
         for name, block in blocks.items():
-            nodes, there = horizon.columns(block.stages), own.get(name)
-            columns = None if there is None else known.columns(there.stages)
+            nodes, there = after.columns(block.stages), own.get(name)
+            columns = None if there is None else before.columns(there.stages)
             if there is None or nodes is None or columns is None:
                 values = np.zeros(block.shape) if dual else block.value
             else:
@@ -108,11 +113,7 @@ def _carried(
             made.append(values.ravel(order="F"))
         return np.concatenate(made)
 
-    def multipliers(vector: Array | None, which: str) -> Array | None:
-        return None if vector is None else carry(vector, getattr(program, which), getattr(of, which), True)
-
-    x = carry(start.x, program.variables, of.variables, dual=False)
-    return Start(x, multipliers(start.lam_x, "variables"), multipliers(start.lam_g, "rows"), moved=1)
+    return carried
 
 
 def _positions(wanted: Index, nodes: Index) -> Index:

@@ -1,0 +1,249 @@
+"""Outages: what a component that is out of service is limited to, as data of a solve.
+
+A solve may state components that are out of service from now on, and each contingency of a secure plan takes
+some out in one node. Both are data: a status of zero, and limits of zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import networkx as nx
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.errors import ModelError, SecurityError, listed, nearest, shown
+from opfmodel.horizon import Horizon
+from opfmodel.model import Model
+from opfmodel.network.arrays import Index, PerUnitNetwork
+from solvers import Program
+
+__all__ = [
+    "check_declared",
+    "check_stated",
+    "cut_off",
+    "free_rows",
+    "idle",
+    "lost_fields",
+    "splitting",
+    "status_at",
+    "without",
+]
+
+Array = npt.NDArray[np.float64]
+Fields = dict[tuple[str, str], Array]
+Status = Mapping[str, Array]  # 1 in service, 0 while it is out, ``(items, nodes)`` by kind
+
+_FREE = 4 * np.pi  # rad; no angle difference is limited to it
+# What a component that is out of service is limited to.
+_LOST: Mapping[str, Mapping[str, float]] = {
+    "branch": {"status": 0.0, "angle_min": -_FREE, "angle_max": _FREE},
+    "generator": {"status": 0.0, "p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
+    "storage": {"status": 0.0, "power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
+}
+# Cost of a generator that does not generate; it counts in no contingency.
+_COSTS = ("c0", "segment_offset")
+
+
+def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, ...]:
+    """Return the names of components whose outage solves may state.
+
+    Raises
+    ------
+    ModelError
+        No component that can go out has this name.
+    SecurityError
+        The outage of a branch splits the grid.
+    """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise ModelError(f"outages = {shown(names)}: must be a list of names")
+    known = [name for kind in _LOST for name in network.tables[kind].names]
+    made = tuple(dict.fromkeys(names))
+    for name in made:
+        if name not in known:
+            raise ModelError(
+                f"outages: {shown(name)}: no branch, generator or storage in service has this name; "
+                f"{nearest(str(name), known)}"
+            )
+        _check_whole((name,), network, "outages")
+    return made
+
+
+def check_stated(names: Iterable[str], declared: Sequence[str], network: PerUnitNetwork) -> tuple[str, ...]:
+    """Return the names of the components that a solve takes as out of service.
+
+    Raises
+    ------
+    ModelError
+        A component is not among those declared.
+    SecurityError
+        Together, the outages split the grid.
+    """
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise ModelError(f"out = {shown(names)}: must be a list of names")
+    made = tuple(dict.fromkeys(names))
+    for name in made:
+        if name not in declared:
+            raise ModelError(
+                f"out: {shown(name)}: the problem does not declare this outage; declared: "
+                f"{listed(declared) or 'none'}; add it by MultiStage(..., outages=[...])"
+            )
+    _check_whole(made, network, "out")
+    return made
+
+
+def _check_whole(out: Sequence[str], network: PerUnitNetwork, what: str) -> None:
+    """Raise :class:`SecurityError` if outages split the grid."""
+    if not set(out) & set(network.branch.names):
+        return
+    rest = set(range(len(network.bus)))
+    for part in nx.connected_components(_graph(network, out)):
+        if part & set(network.reference.tolist()):
+            rest -= part
+    if rest:
+        load = float(_demand(network)[list(rest)].sum())
+        one = len(out) == 1
+        raise SecurityError(
+            f"{what}: {listed(map(repr, out))}: {'its outage splits' if one else 'these outages split'} the "
+            f"grid and {'cuts' if one else 'cut'} off {load:.4g} MW of demand"
+        )
+
+
+def _graph(network: PerUnitNetwork, out: Iterable[str] = ()) -> nx.Graph:
+    """Return the buses with the branches that are left."""
+    branch, lost = network.branch, set(out)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(network.bus)))
+    ends = zip(branch.names, branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True)
+    graph.add_edges_from((f, t) for name, f, t in ends if name not in lost)
+    return graph
+
+
+def _demand(network: PerUnitNetwork) -> Array:
+    """Return the peak demand at each bus, MW."""
+    return np.asarray(network.at_buses("load", network.load.p).max(axis=1) * network.base_mva)
+
+
+def splitting(network: PerUnitNetwork, out: Iterable[str] = ()) -> dict[str, float]:
+    """Return the branches whose outage splits the grid, with the peak demand that they cut off, MW."""
+    return {name: load for name, load, _ in cut_off(network, out)}
+
+
+def cut_off(network: PerUnitNetwork, out: Iterable[str] = ()) -> list[tuple[str, float, float]]:
+    """Return each branch whose outage splits the grid, with peak demand and capacity that it cuts off, MW.
+
+    Those of the part of the island without the reference bus.
+
+    Parameters
+    ----------
+    out
+        Components that are out of service already; they do not split it.
+    """
+    branch, lost = network.branch, set(out)
+    graph = _graph(network, lost)
+    circuits: dict[frozenset[int], list[str]] = {}
+    for name, f, t in zip(branch.names, branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True):
+        if name not in lost:
+            circuits.setdefault(frozenset((f, t)), []).append(name)
+    demand = _demand(network)
+    capacity = network.at_buses("generator", network.generator.p_max).max(axis=1) * network.base_mva
+    made = []
+    for bridge in list(nx.bridges(graph)):
+        names = circuits[frozenset(bridge)]
+        if len(names) > 1:
+            continue  # circuits in parallel
+        graph.remove_edge(*bridge)
+        parts = [nx.node_connected_component(graph, bus) for bus in bridge]
+        cut = next((part for part in parts if not part & set(network.reference.tolist())), parts[-1])
+        graph.add_edge(*bridge)
+        buses = list(cut)
+        made.append((names[0], float(demand[buses].sum()), float(capacity[buses].sum())))
+    return made
+
+
+# As data -----------------------------------------------------------------------------------------
+
+
+def lost_fields(network: PerUnitNetwork, horizon: Horizon, outages: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the fields that change if a component goes out, by ``(kind, field)``.
+
+    Parameters
+    ----------
+    outages
+        Components whose outage solves may state.
+    """
+    out = {*outages, *(name for names in horizon.out for name in names)}
+    made = []
+    for kind, fields in _LOST.items():
+        table = network.tables[kind]
+        if out & set(table.names):
+            made += [(kind, field) for field in fields]
+        if set(outages) & set(table.names):
+            made += [(kind, field) for field in _COSTS if field in table.arrays and table.arrays[field].any()]
+    return made
+
+
+def idle(network: PerUnitNetwork, horizon: Horizon, out: Sequence[str]) -> Index:
+    """Return the contingencies that cannot happen: what they take out is out, or would now split the grid."""
+    if not (out and horizon.contingencies.size):
+        return np.zeros(0, dtype=np.intp)
+    never = {*out, *splitting(network, out)}
+    return np.array([n for n in horizon.contingencies if never & set(horizon.out[n])], dtype=np.intp)
+
+
+def status_at(
+    network: PerUnitNetwork, horizon: Horizon, out: Sequence[str] = (), idle: Index | None = None
+) -> dict[str, Array]:
+    """Return the status of the components at the nodes, by kind.
+
+    Parameters
+    ----------
+    out
+        Components that are out of service in every node.
+    idle
+        Contingencies that cannot happen.
+    """
+    never = set() if idle is None else set(idle.tolist())
+    made = {}
+    for kind in _LOST:
+        table = network.tables[kind]
+        values = made[kind] = np.ones((len(table), len(horizon)))
+        for node, names in enumerate(horizon.out):
+            gone = () if node in never else names
+            values[[table.position[name] for name in gone if name in table.position], node] = 0.0
+        values[[table.position[name] for name in out if name in table.position]] = 0.0
+    return made
+
+
+def without(
+    series: Mapping[tuple[str, str], Array],
+    network: PerUnitNetwork,
+    status: Status,
+    fields: Iterable[tuple[str, str]],
+) -> Fields:
+    """Return series in which the components that are out of service are limited to nothing.
+
+    Parameters
+    ----------
+    fields
+        The fields that change; see :func:`lost_fields`.
+    """
+    made = dict(series)
+    for kind, field in fields:
+        table = network.tables[kind]
+        values = series.get((kind, field), table.arrays[field])
+        out = status[kind] == 0.0
+        if field == "segment_offset":
+            out = out[table.segment_owner]
+        made[kind, field] = np.where(out, _LOST[kind].get(field, 0.0), values)
+    return made
+
+
+def free_rows(model: Model, program: Program, nodes: Index) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    """Yield the bounds that free the rows of some nodes, by block; NaN where they are left as they are."""
+    for name, block in program.rows.items():
+        source = model.bounds.get(name)
+        own = np.arange(model.stages) if source is None or source.nodes is None else source.nodes
+        if own.size == block.stages and np.isin(own, nodes).any():
+            free = np.where(np.broadcast_to(np.isin(own, nodes), block.shape), np.inf, np.nan)
+            yield name, (-free, free)
