@@ -70,8 +70,8 @@ def lifted(solution: Solution, program: Program, horizon: Horizon) -> Start:
 def grown(start: Start, of: Program, before: Horizon, program: Program, after: Horizon) -> Start:
     """Return the primal start of a problem as that of the same problem with more contingencies.
 
-    Every node starts from itself, and a new contingency from its owner. Of multipliers nothing is known there;
-    with zeros in their place IPOPT takes two to three times as many iterations as with none at all.
+    Every node starts from itself, and a new contingency from its owner. Its multipliers are not known: with
+    zeros in their place IPOPT takes two to three times as many iterations as without any.
 
     Parameters
     ----------
