@@ -66,6 +66,7 @@ from .scenario import (
 from .simulation import (
     Controller as Controller,
     NominalPlant as NominalPlant,
+    Outage as Outage,
     Plant as Plant,
     PowerFlow as PowerFlow,
     Redispatch as Redispatch,

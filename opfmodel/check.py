@@ -272,6 +272,7 @@ class _Table:
     names: list[str]
     members: list[Any]
     trajectories: _Trajectories
+    kind: str
 
     def where(self, mask: npt.ArrayLike) -> _Table:
         """Select components by a Boolean mask."""
@@ -306,6 +307,19 @@ class _Table:
         low, high = self.span(field)
         return self._declared(f"{field}_min", low), self._declared(f"{field}_max", high)
 
+    def status(self) -> Array:
+        """1 where a component is in service and 0 where it is out; in service if the data do not say."""
+        name = f"{self.kind}_status"
+        if not (self.names and self.trajectories.has(name)):
+            return np.ones((len(self.names), len(self.trajectories.times)))
+        return (self.values(name) > 0).astype(float)
+
+    def left(self, field: str) -> Bounds:
+        """Minimum and maximum for all components, which are zero while one is out of service."""
+        low, high = self.bounds(field)
+        status = self.status() > 0
+        return np.where(status, low, 0.0), np.where(status, high, 0.0)
+
     def _declared(self, field: str, constants: Array) -> Array:
         one = self.members[0] if self.members else None
         rule = one.over(field) if isinstance(one, Component) else "mean"
@@ -338,6 +352,9 @@ class _Checker:
         for kind in self.others:
             self.leave_out(f"limits and cost of the {kind.plural}")
         flows = _FLOWS.get(self.formulation, _reported_flows)(self)
+        if flows is not None:
+            status = self.branches.status()
+            flows = flows[0] * status, flows[1] * status
         if self.voltages_known:
             magnitude = np.sqrt(self.voltage_squared(self.buses.names))
             self.inside("voltage", self.buses, magnitude, self.buses.bounds("vm"), "p.u.")
@@ -345,7 +362,7 @@ class _Checker:
             self.check_branches(flows)
         if self.angles_known:
             limited = self.branches.where(self.limited_angles())
-            angles = self.angles()[self.limited_angles()]
+            angles = np.where(limited.status() > 0, self.angles()[self.limited_angles()], 0.0)
             self.inside("angle difference", limited, angles, limited.span("angle"), "deg")
         self.check_balance(flows)
         self.report.cost = float(self.cost_rate() @ self.hours)
@@ -353,7 +370,9 @@ class _Checker:
 
     def table(self, members: Mapping[str, Component]) -> _Table:
         """Make a table of components."""
-        return _Table(list(members), [member.resolved() for member in members.values()], self.trajectories)
+        kind = next((member.kind for member in members.values()), "")
+        resolved = [member.resolved() for member in members.values()]
+        return _Table(list(members), resolved, self.trajectories, kind)
 
     def reported(self, kind: type[Component]) -> _Table:
         """Components of a class that are in the data, in order of declaration."""
@@ -408,14 +427,15 @@ class _Checker:
     def check_generators(self, previous_pg: Mapping[str, float] | None) -> None:
         """Check active and reactive power limits and ramps."""
         units = self.generators
-        self.inside("generator p", units, units.values("pg"), units.bounds("p"), "MW")
+        self.inside("generator p", units, units.values("pg"), units.left("p"), "MW")
         if self.reactive:
-            self.inside("generator q", units, units.values("qg"), units.bounds("q"), "MVAr")
+            self.inside("generator q", units, units.values("qg"), units.left("q"), "MVAr")
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
         before = [
             math.nan if previous_pg is None else previous_pg.get(name, math.nan) for name in ramped.names
         ]
         change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=np.array(before).reshape(-1, 1)))
+        change[np.diff(ramped.status(), axis=1, prepend=1.0) != 0] = 0.0  # a unit trips, or returns
         change[np.isnan(change)] = 0.0  # no check where the dispatch is unknown, as before the first stage
         between = 0.5 * (self.hours + np.concatenate([self.hours[:1], self.hours[:-1]]))
         self.note("ramp", ramped.names, change - ramped.number("ramp") * between, "MW")
@@ -425,8 +445,8 @@ class _Checker:
         units = self.storages
         ps = units.values("ps")
         qs = units.values("qs") if self.reactive else np.zeros_like(ps)
-        self.inside("storage power", units, ps, units.bounds("power"), "MW")
-        self.inside("storage q", units, qs, units.bounds("q"), "MVAr")
+        self.inside("storage power", units, ps, units.left("power"), "MW")
+        self.inside("storage q", units, qs, units.left("q"), "MVAr")
         self.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
         if self.has("e", "e_next") or not units.names:
             self.check_energy(units, ps)
@@ -456,10 +476,13 @@ class _Checker:
         piecewise = [isinstance(cost, PiecewiseLinear) for cost in self.generators.each("cost")]
         smooth, linear = self.generators.where([not p for p in piecewise]), self.generators.where(piecewise)
         costs, pg = replace(smooth, members=smooth.each("cost")), smooth.values("pg")
-        rate = (costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")).sum(axis=0)
-        for cost, dispatch in zip(linear.each("cost"), linear.values("pg"), strict=True):
+        rate = costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")
+        rate = (rate * smooth.status()).sum(axis=0)
+        for cost, dispatch, status in zip(
+            linear.each("cost"), linear.values("pg"), linear.status(), strict=True
+        ):
             slope, offset = np.array(cost.segments).T[:, :, None]
-            rate += (slope * dispatch + offset).max(axis=0)  # convex: the maximum over the segments
+            rate += status * (slope * dispatch + offset).max(axis=0)  # convex: the maximum over the segments
         return np.asarray(rate)
 
     # Network -----------------------------------------------------------------------------
@@ -495,7 +518,18 @@ class _Checker:
         if wrong:
             self.note("reported flow", names, np.stack(wrong, axis=1), "MVA")
         apparent = self.base * np.abs(np.stack(flows, axis=1))
-        self.note("branch rating", names, apparent - self.branches.number("rating")[:, None], "MVA")
+        self.note("branch rating", names, apparent - self.ratings()[:, None], "MVA")
+
+    def ratings(self) -> Array:
+        """Ratings of the branches: those of an emergency while the controller does not know of an outage."""
+        rating = self.branches.number("rating")
+        if not self.has("outages_known"):
+            return rating
+        emergency = self.branches.number("emergency_rating")
+        multiple = float(self.trajectories.data.attrs.get("outage_rating", 1.0))
+        after = np.where(np.isfinite(emergency), emergency, multiple * rating)
+        known = np.asarray(self.trajectories.data["outages_known"].values, dtype=float)
+        return np.where(known > 0, rating, after)
 
     def check_balance(self, flows: Flows | None) -> None:
         """Check the power balance of each bus or, in a copperplate model, of each island."""
@@ -639,7 +673,7 @@ def _dc_losses_flows(c: _Checker) -> Flows:
     """Lossless flows plus half the loss at each end; also check that the loss is at least g angle²."""
     flow, _ = _dc_flows(c)
     loss = c.branches.values("loss") / c.base
-    least = _series_admittance(c.branches).real * np.deg2rad(c.angles()) ** 2
+    least = c.branches.status() * _series_admittance(c.branches).real * np.deg2rad(c.angles()) ** 2
     c.note("branch loss", c.branches.names, c.base * np.maximum(least - loss, -loss), "MW")
     return flow + loss / 2, -flow + loss / 2
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import opfmodel as om
-from opfmodel.errors import ModelError, SecurityError
+from opfmodel.check import Report, check
+from opfmodel.errors import IncompatibleError, ModelError, SecurityError
 
 FORMULATIONS = ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"]
 OUT = [("ab",), ("gas",), ("cell",), ("ab", "tank"), ("bc", "gas")]
@@ -148,3 +149,200 @@ def test_what_solves_refuse() -> None:
     case.remove("ad")
     with pytest.raises(SecurityError, match="outages: 'cd': its outage splits the grid and cuts off 30 MW"):
         om.MultiStage(case, outages=["cd"])
+
+
+# Closed loops ------------------------------------------------------------------------------------
+
+STEPS = 6
+PLANTS = [om.NominalPlant, om.PowerFlow, om.Redispatch]
+
+
+def loop(
+    plant: om.Plant,
+    events: Sequence[om.Outage],
+    formulation: str = "ac",
+    security: om.Security | None = None,
+    delay: int = 0,
+    steps: int = STEPS,
+    case: om.Network | None = None,
+    **response: object,
+) -> om.Run:
+    """A closed loop in which components trip."""
+    made = grid() if case is None else case
+    series = demand(steps + 2)
+    controlled = om.MultiStage(
+        made, 3, formulation=formulation, profiles=series, security=security, generator_delay=delay,
+        outages=[event.component for event in events],
+    )  # fmt: skip
+    plant = plant.with_outages(events, **response)
+    return om.simulate(om.Controller(controlled, on_infeasible="elastic"), plant, steps)
+
+
+def checked(run: om.Run) -> Report:
+    return check(run.problem.network, run.data, run.problem.profiles)
+
+
+@pytest.mark.parametrize("component", ["ab", "gas", "cell"])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_what_is_out_carries_and_produces_nothing(plant: type[om.Plant], component: str) -> None:
+    run = loop(plant(), [om.Outage(component, 2, 2)], rating=1.6)
+    assert run.status == "done", run.termination
+    kind = next(kind for kind, table in run.problem.arrays.tables.items() if component in table.names)
+    data, power = run.data, {"branch": "pf", "generator": "pg", "storage": "ps"}[kind]
+    assert data[f"{kind}_status"].sel({kind: component}).values.tolist() == [1, 1, 0, 0, 1, 1]
+    assert data[f"{kind}_status"].sum() == 6 * data.sizes[kind] - 2
+    flow = np.abs(data[power].sel({kind: component}).values)
+    assert flow[2:4] == pytest.approx([0, 0], abs=1e-5)
+    assert flow[[1, 4]].min() > 0.5
+    known = [1] * 6 if plant is om.NominalPlant else [1, 1, 0, 1, 1, 1]
+    assert data["outages_known"].values.tolist() == known
+    assert run.summary()["outages"] == {component: [2, 3]}
+    report = checked(run)
+    limits = {"branch rating", "bus voltage", "generator p", "generator q", "ramp"}  # of a held dispatch
+    families = set(report.violations) - (limits if plant is om.PowerFlow else set())
+    assert max(report.violations[family].value for family in families) < 2e-6, str(report)
+    assert report.cost == pytest.approx(run.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("known", [0, 1, 2])
+def test_the_controller_learns_of_a_trip_steps_later(known: int) -> None:
+    run = loop(om.Redispatch(), [om.Outage("ab", 1, 3)], known=known, rating=2.0)
+    assert run.status == "done"
+    assert run.data["outages_known"].values.tolist() == [1.0] + [0.0] * known + [1.0] * (5 - known)
+    assert run.data["branch_status"].sel(branch="ab").values.tolist() == [1, 0, 0, 0, 1, 1]
+    assert checked(run).max_violation < 2e-6
+    assert max(plan["iterations"] for plan in run.plans) < 200
+    assert {attempt["start"] for plan in run.plans[1:] for attempt in plan["attempts"]} == {"warm"}
+
+
+@pytest.mark.parametrize("known", [0, 1])
+def test_the_ac_plants_find_the_planned_state_of_an_outage(known: int) -> None:
+    """Once the controller knows, its AC plans of the outage are states of the grid."""
+    events = [om.Outage("ab", 1, 3), om.Outage("gas", 2, 1), om.Outage("cell", 2, 3)]
+    run = loop(om.PowerFlow(), events, known=known, rating=2.0)
+    assert run.status == "done"
+    moved = run.data["pg_redispatch"].sum("generator").values
+    told = run.data["outages_known"].values > 0
+    assert told.sum() == (6 if known == 0 else 4)
+    assert moved[told].max() < 1e-3
+    if known:
+        assert moved[~told].min() > 0.1
+        followed = loop(om.NominalPlant(), events)
+        assert run.data["pg"].values[5] == pytest.approx(followed.data["pg"].values[5], abs=0.5)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("formulation", ["ac", "dc"])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_unit_returns_to_its_minimum_whatever_its_ramp(
+    plant: type[om.Plant], formulation: str, delay: int
+) -> None:
+    case = grid()
+    case.update("coal", p=(40, 190), ramp=15)
+    run = loop(plant(), [om.Outage("coal", 2, 2)], formulation, delay=delay, case=case)
+    assert run.status == "done", run.termination
+    pg = run.data["pg"].sel(generator="coal").values
+    assert pg[2:4] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert pg[[1, 4]].min() > (39.999 if plant is not om.PowerFlow else 38)
+    if delay == 1:  # the units that are left were committed without the outage
+        return
+    assert run.summary()["elastic_steps"] == 0
+    if plant is not om.NominalPlant and formulation == "ac":
+        assert run.data["ramp_excess"].sel(generator="coal").max() < 1e-3
+    if plant is not om.PowerFlow:
+        assert checked(run).violations["ramp"].value < 1e-6
+
+
+def test_units_move_within_minutes_of_a_trip_only() -> None:
+    run = loop(om.Redispatch(), [om.Outage("cell", 2, 2)], minutes=6, rating=2.0)
+    told = loop(om.Redispatch(), [om.Outage("cell", 2, 2)], known=0, rating=2.0)
+    moved, free = (r.data["pg_redispatch"].isel(time=2).sum().item() for r in (run, told))
+    assert free < 1e-3
+    most = 0.1 * run.problem.arrays.generator.ramp[:, 0] * 100
+    each = run.data["pg_redispatch"].isel(time=2).values
+    assert (each <= most + 1e-4).all()
+    assert moved > 1.0
+
+
+def test_a_secured_loop_rides_through_an_outage_in_which_an_unsecured_one_sheds() -> None:
+    events, minutes = [om.Outage("ab", 2, 2)], 12
+    loops = [loop(om.Redispatch(), events, security=s, minutes=minutes, rating=1.0)
+             for s in (None, om.Security({"branches": ["ab"]}, minutes=minutes))]  # fmt: skip
+    free, secured = (run.summary() for run in loops)
+    assert free["shed_mwh"] > 1.0
+    assert secured["shed_mwh"] < 1e-3
+    assert secured["largest_flow_excess"] < 1e-3 < free["largest_flow_excess"]
+    assert loops[1].cost > loops[0].cost + 10
+
+
+def test_an_outage_at_the_last_step_and_two_that_overlap() -> None:
+    events = [om.Outage("ab", 1, 3), om.Outage("tank", 2, 9), om.Outage("ab", 5, 4)]
+    run = loop(om.Redispatch(), events, rating=2.0)
+    assert run.status == "done"
+    assert run.summary()["outages"] == {"ab": [1, 2, 3, 5], "tank": [2, 3, 4, 5]}
+    assert run.data["branch_status"].sel(branch="ab").values.tolist() == [1, 0, 0, 0, 1, 0]
+    assert run.data["storage_status"].sel(storage="tank").values.tolist() == [1, 1, 0, 0, 0, 0]
+    assert run.data["outages_known"].values.tolist() == [1, 0, 0, 1, 1, 0]
+    assert checked(run).max_violation < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("quantity", "kind", "name", "family"),
+    [
+        ("branch_status", "branch", "ab", "reported flow"),
+        ("branch_status", "branch", "bc", "reported flow"),
+        ("generator_status", "generator", "gas", "generator p"),
+        ("storage_status", "storage", "cell", "storage power"),
+    ],
+)
+def test_a_status_that_was_tampered_with_is_found(quantity: str, kind: str, name: str, family: str) -> None:
+    events = [om.Outage("ab", 1, 1), om.Outage("gas", 3, 1), om.Outage("cell", 4, 1)]
+    run = loop(om.NominalPlant(), events, steps=5)
+    data = run.data.copy(deep=True)
+    step = 1 if name == "ab" else 0
+    data[quantity].loc[{kind: name, "time": data["time"][step]}] = 1.0 - (name != "ab")
+    assert checked(run).max_violation < 2e-6
+    assert check(run.problem.network, data, run.problem.profiles).violations[family].value > 1e-3
+
+
+def test_ratings_of_an_emergency_end_when_the_controller_knows() -> None:
+    case = grid()
+    case.update("ad", emergency_rating=80)
+    run = loop(om.Redispatch(), [om.Outage("ab", 1, 2)], rating=1.2, case=case)
+    flow = np.hypot(run.data["pf"], run.data["qf"]).sel(branch="ad").values
+    assert flow[1] > 46
+    assert flow[2] < 45.001
+    assert checked(run).violations["branch rating"].value < 1e-6
+    data = run.data.assign(outages_known=("time", np.ones(STEPS)))
+    assert check(run.problem.network, data, run.problem.profiles).violations["branch rating"].value > 0.01
+
+
+class Deaf(om.Plant):
+    """A plant that knows nothing of outages."""
+
+
+def test_what_loops_refuse() -> None:
+    trip = om.Outage("ab", 1, 2)
+    with pytest.raises(IncompatibleError, match="outages: the plant Deaf does not realise any"):
+        Deaf().with_outages([trip])
+    with pytest.raises(IncompatibleError, match=r"known = 1: the plant follows plans.*known = 0"):
+        om.NominalPlant().with_outages([trip], known=1)
+    with pytest.raises(ModelError, match="known = -1: must be"):
+        om.PowerFlow().with_outages([trip], known=-1)
+    with pytest.raises(ModelError, match="outages: 'ab': must be an object of class Outage"):
+        om.PowerFlow().with_outages(["ab"])
+    with pytest.raises(ModelError, match="outages: ab: hours = 0"):
+        om.Outage("ab", 1, 0)
+    with pytest.raises(ModelError, match="outages: ab: step = -1"):
+        om.Outage("ab", -1, 1)
+    plant = om.Redispatch().with_outages([trip])
+    with pytest.raises(ModelError, match=r"'ab': the problem does not declare this outage.*outages=\['ab'\]"):
+        om.simulate(problem(), plant)
+    for events, text in (
+        ([om.Outage("ab", 1, 1.5)], "ab: hours = 1.5: must be a multiple of the step of 1 h"),
+        ([trip, om.Outage("ab", 2, 1)], "ab: step = 2: it is already out in step 2"),
+    ):
+        with pytest.raises(ModelError, match=text):
+            loop(om.PowerFlow(), events)
+    with pytest.raises(SecurityError, match="these outages split the grid"):
+        loop(om.PowerFlow(), [om.Outage("ad", 1, 2), om.Outage("cd", 2, 1)])

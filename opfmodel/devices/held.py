@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,14 +43,17 @@ class HeldGenerators(Device):
         """Publish ``pg`` and ``qg`` as functions of the slacks ``slack`` and ``slack_q``."""
         network = model.network
         slack = model.build.variable("slack", network.n_islands, model.stages)
-        pg = model.parameter("generator", "pg_set") + self.shares * slack[network.island[table.bus]]
+        island = network.island[table.bus]
+        left = _left(model, "slack", self.shares, island)
+        pg = model.parameter("generator", "pg_set") + left * slack[island]
         regulates = np.ones(len(table), dtype=bool) if self.regulates is None else self.regulates
         at, which = np.unique(table.bus[regulates], return_inverse=True)
         extra = model.build.variable("slack_q", at.size, model.stages)
         ranges = np.clip(table.q_max[regulates] - table.q_min[regulates], 0.0, WIDE)[:, 0]
         shares, owner = np.zeros(len(table)), np.zeros(len(table), dtype=np.intp)
         shares[regulates], owner[regulates] = divide(ranges, which), which
-        qg = model.parameter("generator", "qg_set") + shares * extra[owner]
+        left = _left(model, "slack_q", shares, table.bus)
+        qg = model.parameter("generator", "qg_set") + left * extra[owner]
         model.publish("generator", "pg", pg, unit="MW", description="active generation")
         model.publish("generator", "qg", qg, unit="MVAr", description="reactive generation")
         model.inject(table.bus, p=pg, q=qg)
@@ -65,6 +70,19 @@ class HeldStorages(Device):
         model.publish("storage", "ps", ps, unit="MW", description="charging power")
         model.publish("storage", "qs", qs, unit="MVAr", description="reactive power drawn")
         model.inject(table.bus, p=-ps, q=-qs)
+
+
+def _left(model: Model, what: str, shares: Array, group: Index) -> Any:
+    """Return the shares of the units that are in service, if solves may take some out."""
+    weights = np.ravel(shares)
+
+    def left(table: Table) -> Array:
+        columns = [divide(weights * status, group) * status for status in table.status.T]
+        return np.column_stack(columns)
+
+    if not model.outages & set(model.network.generator.names):
+        return shares
+    return model.of_status("generator", f"{what} share", left)
 
 
 def divide(weights: Array, group: Index) -> Array:

@@ -47,7 +47,7 @@ class DCLosses(Formulation):
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
         impedance = branch.r**2 + branch.x**2
-        flow = branch.x / impedance * angle
+        flow = model.switched(branch.x / impedance * angle)
         conductance = branch.r / impedance
         lossy = np.flatnonzero(conductance > 0)
         upper = np.where(conductance > 0, np.inf, 0.0)
@@ -56,7 +56,7 @@ class DCLosses(Formulation):
             # 4 g theta^2 + (1 - l)^2 <= (1 + l)^2 means l >= g theta^2
             scaled = loss[lossy] / _SCALE
             root = 2.0 * np.sqrt(conductance[lossy] / _SCALE)
-            model.build.cone("branch_loss", 1.0 + scaled, 1.0 - scaled, root * angle[lossy])
+            model.build.cone("branch_loss", 1.0 + scaled, 1.0 - scaled, root * model.switched(angle)[lossy])
         pf, pt = flow + 0.5 * loss, -flow + 0.5 * loss
         publish_flows(model, pf, None, pt, None)
         model.inject(branch.from_bus, p=-pf)

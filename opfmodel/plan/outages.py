@@ -19,6 +19,7 @@ from opfmodel.network.arrays import Index, PerUnitNetwork
 from solvers import Program
 
 __all__ = [
+    "COSTS",
     "check_declared",
     "check_stated",
     "cut_off",
@@ -42,7 +43,7 @@ _LOST: Mapping[str, Mapping[str, float]] = {
     "storage": {"status": 0.0, "power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
 }
 # Cost of a generator that does not generate; it counts in no contingency.
-_COSTS = ("c0", "segment_offset")
+COSTS = ("c0", "segment_offset")
 
 
 def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, ...]:
@@ -179,7 +180,7 @@ def lost_fields(network: PerUnitNetwork, horizon: Horizon, outages: Sequence[str
         if out & set(table.names):
             made += [(kind, field) for field in fields]
         if set(outages) & set(table.names):
-            made += [(kind, field) for field in _COSTS if field in table.arrays and table.arrays[field].any()]
+            made += [(kind, field) for field in COSTS if field in table.arrays and table.arrays[field].any()]
     return made
 
 

@@ -21,7 +21,7 @@ from opfmodel.plan.outages import splitting
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
 
-__all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "splitting"]
+__all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "rating_after", "splitting"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -230,18 +230,9 @@ def outage_fields(security: Security | None, horizon: Horizon) -> list[tuple[str
     return [("branch", "rating"), *held]
 
 
-def _rating_after(
-    series: Mapping[tuple[str, str], Array],
-    security: Security,
-    rating: Array,
-    horizon: Horizon,
-    network: PerUnitNetwork,
-) -> Array:
-    """Return the ratings in contingencies: the emergency rating, or a multiple of the rating."""
-    after = horizon.contingencies
-    stated = series.get(("branch", "emergency_rating"), network.branch.emergency_rating)
-    stated = np.broadcast_to(stated, rating.shape)[:, after]
-    return np.where(np.isfinite(stated), stated, security.rating * rating[:, after])
+def rating_after(rating: Array, emergency: Array, multiple: float) -> Array:
+    """Return the ratings after an outage: the emergency ratings, or a multiple of those without one."""
+    return np.where(np.isfinite(emergency), emergency, multiple * rating)
 
 
 def at_contingencies(
@@ -265,7 +256,10 @@ def at_contingencies(
         values = series.get((kind, field), table.arrays[field])
         values = np.array(np.broadcast_to(values, (len(table), len(horizon))))
         if field == "rating":
-            values[:, horizon.contingencies] = _rating_after(series, security, values, horizon, network)
+            stated = series.get(("branch", "emergency_rating"), network.branch.emergency_rating)
+            stated = np.broadcast_to(stated, values.shape)[:, horizon.contingencies]
+            after = rating_after(values[:, horizon.contingencies], stated, security.rating)
+            values[:, horizon.contingencies] = after
             values[:, idle] = np.inf
         else:
             values[:, horizon.contingencies] = _HELD[kind, field]

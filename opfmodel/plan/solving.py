@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import ModelError, listed, shown
 from opfmodel.horizon import Horizon
-from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import integer
 from opfmodel.network.units import scale
 from opfmodel.plan.compiled import Compiled
@@ -72,6 +72,8 @@ def solved(
         if initial is not None and state.name in initial:
             given = initial[state.name]
             values = None if given is None else _state(state.name, given)
+            if values is not None and state.role == "dispatch" and values.shape == (len(table),):
+                values = np.where(_gone(table, request.out), 0.0, values)
             if values is not None:
                 values = values / scale(state.unit, table.base_mva)
         else:
@@ -96,6 +98,13 @@ def solved(
     solution = session.solve(instance, start)
     solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
     return Plan(problem, model, solution, network, request)
+
+
+def _gone(table: Table, out: Sequence[str]) -> npt.NDArray[np.bool_]:
+    """Return which components are out of service."""
+    gone = np.zeros(len(table), dtype=bool)
+    gone[[table.position[name] for name in out if name in table.position]] = True
+    return gone
 
 
 def _of_owners(values: Array, horizon: Horizon) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from opfmodel.data.yaml import MOST_LEVELS, Place
 from opfmodel.errors import ScenarioError, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Elastic
+from opfmodel.network.arrays import per_unit
 from opfmodel.network.bounds import LARGEST, bounded
 from opfmodel.network.network import Network
 from opfmodel.network.quantities import CURRENCY, Basis, currency_fault
@@ -31,6 +32,7 @@ from opfmodel.scenario.parts import (
     make_forecast,
     make_horizon,
     make_objective,
+    make_outages,
     make_plant,
     make_profiles,
     make_rules,
@@ -143,7 +145,8 @@ class _Reader:
 
         objective = planned_objective(document, settings, network, cost, grid, single_stages)
         horizon = make_horizon(document, settings, scenarios)
-        problem = self._problem(settings, network, profiles, objective, horizon)
+        outages = make_outages(document, settings, per_unit(network))
+        problem = self._problem(settings, network, profiles, objective, horizon, outages)
         if problem is None:
             return None
         for own in constraints.values():
@@ -153,6 +156,7 @@ class _Reader:
         if plant is not None:
             with faults, document.located("plant"):
                 plant.check(problem.arrays)
+                plant.outages.check(problem)
             if forecast is not None:
                 with faults, document.located("forecast"):
                     check_response(forecast, plant)
@@ -181,6 +185,7 @@ class _Reader:
         profiles: Profiles,
         objective: Objective,
         horizon: Horizon,
+        outages: Sequence[str],
     ) -> MultiStage | None:
         """Build the problem of the ``controller`` section, without custom constraints.
 
@@ -221,6 +226,7 @@ class _Reader:
                     else None,
                     risk=averse,
                     security=secure,
+                    outages=outages,
                     solver=solver.name,
                     options=solver.options,
                 )

@@ -15,7 +15,7 @@ from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, ScenarioError, nearest, shown
 from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
 from opfmodel.horizon import Horizon
-from opfmodel.network.arrays import per_unit
+from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
@@ -25,17 +25,19 @@ from opfmodel.objectives.base import Objective, WeightedSum
 from opfmodel.objectives.economic import Economic
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.memory import check_memory, run_bytes, series_bytes
+from opfmodel.plan.outages import check_declared
 from opfmodel.profiles.base import ProfileRule, Workbook
 from opfmodel.scenario.document import Document, check_printable, colon_hint
 from opfmodel.scenario.files import FILE_OPTIONS, read_fitted, repeated
 from opfmodel.scenario.schema import ScenarioFile, Spec
-from opfmodel.simulation import Plant
+from opfmodel.simulation import Outage, Plant
 
 __all__ = [
     "Rule",
     "make_forecast",
     "make_horizon",
     "make_objective",
+    "make_outages",
     "make_plant",
     "make_profiles",
     "make_rules",
@@ -265,10 +267,33 @@ def make_plant(settings: ScenarioFile) -> Plant:
     """Create the plant of a closed loop, without history."""
     section = settings.plant
     made = plugins.make(
-        "plant", section.mode, section.model_extra or {}, beside=("mode",), context=settings.basis
+        "plant", section.mode, section.options, beside=type(section).model_fields, context=settings.basis
     )
     assert isinstance(made, Plant)
-    return made
+    if not section.outages:
+        return made
+    events = [Outage(name, each.step, each.hours) for each in section.outages for name in each.named.values()]
+    return made.with_outages(events, section.known, section.minutes, section.rating)
+
+
+def make_outages(document: Document, settings: ScenarioFile, network: PerUnitNetwork) -> list[str]:
+    """Return the names of the components that trip in the loop, without those that have a fault."""
+    names: list[str] = []
+    for number, section in enumerate(settings.plant.outages):
+        at, named = ("plant", "outages", number), section.named
+        if len(named) != 1:
+            text = f"names {len(named)} components; must name one: a branch, generator or storage"
+            document.faults.add(document.fault(at, text))
+            continue
+        [(kind, name)] = named.items()
+        table = network.tables[kind]
+        if name not in table.position:
+            text = f"{shown(name)}: no {kind} in service has this name; {nearest(name, table.names)}"
+            document.faults.add(document.fault((*at, kind), text))
+            continue
+        with document.faults, document.located(*at):
+            names += check_declared([name], network)
+    return names
 
 
 def planned_objective(

@@ -18,8 +18,14 @@ _SORTS = ("objective", "profile", "forecast", "plant")
 Schema = dict[str, Any]
 
 
-def plugin_schemas(origins: Collection[str] | None) -> dict[str, Schema]:
-    """Schemas of the options of plugins, as ``objective-economic``, and of the places that choose one."""
+def plugin_schemas(origins: Collection[str] | None, beside: Mapping[str, Schema]) -> dict[str, Schema]:
+    """Schemas of the options of plugins, as ``objective-economic``, and of the places that choose one.
+
+    Parameters
+    ----------
+    beside
+        Keys that all plants have beside their options.
+    """
     classes: dict[str, dict[str, Any]] = {sort: {} for sort in (*_SORTS, "formulation")}
     for sort, found in classes.items():
         for name, plugin in plugins(sort).items():
@@ -28,9 +34,9 @@ def plugin_schemas(origins: Collection[str] | None) -> dict[str, Schema]:
                     found[name] = plugin.load()
                 except PluginError:  # it cannot be used either
                     continue
-    beside = [sort for sort in _SORTS if sort != "plant"]
-    made = {f"{sort}-{name}": _options(cls) for sort in beside for name, cls in classes[sort].items()}
-    chosen = {sort: _chosen(sort, classes[sort]) for sort in beside}
+    others = [sort for sort in _SORTS if sort != "plant"]
+    made = {f"{sort}-{name}": _options(cls) for sort in others for name, cls in classes[sort].items()}
+    chosen = {sort: _chosen(sort, classes[sort]) for sort in others}
     weighted = _one_of("objective", classes["objective"])
     weighted["properties"]["weight"] = {"type": "number", "minimum": 0, "description": "factor of this part"}
     weighted["maxProperties"] = 2
@@ -39,7 +45,7 @@ def plugin_schemas(origins: Collection[str] | None) -> dict[str, Schema]:
     return {
         **made,
         **chosen,
-        "plant": _plant(classes["plant"]),
+        "plant": _plant(classes["plant"], beside),
         "formulation": {"enum": list(classes["formulation"])},
     }
 
@@ -94,12 +100,12 @@ def _chosen(sort: str, classes: Mapping[str, Any]) -> Schema:
     return {"anyOf": [_bare(classes), _one_of(sort, classes)]}
 
 
-def _plant(classes: Mapping[str, Any]) -> Schema:
+def _plant(classes: Mapping[str, Any], beside: Mapping[str, Schema]) -> Schema:
     """Schema of the plant, whose options are beside its mode."""
     modes = []
     for name, cls in classes.items():
         options = _options(cls)
-        options["properties"] = {"mode": {"const": name}, **options["properties"]}
+        options["properties"] = {"mode": {"const": name}, **options["properties"], **beside}
         if name != "nominal":
             options["required"] = ["mode", *options["required"]]
         modes.append(options)

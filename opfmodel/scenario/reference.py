@@ -13,7 +13,7 @@ from typing import Any
 
 from opfmodel.scenario.component_schema import add_components, components, kind_schemas
 from opfmodel.scenario.plugin_schema import plugin_schemas, without_titles
-from opfmodel.scenario.schema import MOST_VARIANTS, ScenarioFile
+from opfmodel.scenario.schema import MOST_VARIANTS, PlantSection, ScenarioFile
 
 __all__ = ["DIALECT", "PARTIAL", "scenario_schema", "section_keys"]
 
@@ -33,7 +33,14 @@ def scenario_schema(origins: Collection[str] | None = None) -> Schema:
         Distributions whose plugins and components are known; all that are installed by default.
     """
     keys = without_titles(ScenarioFile.model_json_schema())
-    defs = {**keys.pop("$defs"), **kind_schemas(origins), **plugin_schemas(origins)}
+    of_plant = without_titles(PlantSection.model_json_schema())
+    beside = {name: each for name, each in of_plant["properties"].items() if name != "mode"}
+    defs = {
+        **keys.pop("$defs"),
+        **of_plant["$defs"],
+        **kind_schemas(origins),
+        **plugin_schemas(origins, beside),
+    }
     add_components(defs["NetworkSection"], components(origins))
     partial = {name: _partial(schema) for name, schema in {**defs, PARTIAL: keys}.items()}
     differ = _differing(defs, partial)

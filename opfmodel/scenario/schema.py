@@ -303,6 +303,24 @@ class ControllerSection(Section):
         return self.solver if isinstance(self.solver, SolverSection) else SolverSection(name=self.solver)
 
 
+class OutageSection(Section):
+    """A component that trips in the closed loop: one of `branch`, `generator` and `storage`."""
+
+    branch: str | None = Field(None, description="name of a branch")
+    generator: str | None = Field(None, description="name of a generator, in place of a branch")
+    storage: str | None = Field(None, description="name of a storage, in place of a branch")
+    step: int = Field(ge=0, description="step of the loop at whose beginning it trips, from 0 on")
+    hours: Annotated[float, In("h")] = Field(
+        gt=0, description="how long it is out of service, a multiple of `time.step`"
+    )
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Name of the component, by kind."""
+        given = {"branch": self.branch, "generator": self.generator, "storage": self.storage}
+        return {kind: name for kind, name in given.items() if name is not None}
+
+
 class PlantSection(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)  # the options of the plant
 
@@ -310,6 +328,30 @@ class PlantSection(BaseModel):
         "nominal",
         description="name of the plant",
     )
+    outages: list[OutageSection] = Field(
+        default_factory=list, description="components that trip in the loop, and return"
+    )
+    known: int | None = Field(
+        None,
+        ge=0,
+        description="steps after a trip until the controller knows; by default 1, and 0 for `nominal`, which "
+        "takes no others",
+    )
+    minutes: Annotated[float, In("min")] | None = Field(
+        None,
+        description="time in which units respond while the controller does not know; by default that of "
+        "`controller.security`, else 15",
+    )
+    rating: float | None = Field(
+        None,
+        description="multiple of the rating of a branch meanwhile, if it has no emergency rating; by default "
+        "that of `controller.security`, else 1",
+    )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of the plant itself."""
+        return self.model_extra or {}
 
     @model_validator(mode="before")
     @classmethod

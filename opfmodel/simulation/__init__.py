@@ -2,6 +2,7 @@
 
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
 from opfmodel.simulation.loop import check_first_stage, check_response, simulate
+from opfmodel.simulation.outages import Outage, Outages
 from opfmodel.simulation.plants.base import Plant, Step
 from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.plants.power_flow import PowerFlow
@@ -13,6 +14,8 @@ __all__ = [
     "Controller",
     "NominalPlant",
     "OnInfeasible",
+    "Outage",
+    "Outages",
     "Plant",
     "PowerFlow",
     "Redispatch",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Literal, get_args
@@ -106,9 +106,17 @@ class Controller:
         """Start a run and discard the history of the last one."""
         self._last, self.attempts = None, []
 
-    def plan(self, time: int, state: Initial | None) -> Plan:
-        """Plan from ``state`` at step ``time``; a failure is reported by the plan's status."""
+    def plan(self, time: int, state: Initial | None, out: Sequence[str] = ()) -> Plan:
+        """Plan from ``state`` at step ``time``; a failure is reported by the plan's status.
+
+        Parameters
+        ----------
+        out
+            Components that are known to be out of service; see :meth:`MultiStage.solve`.
+        """
         asked, last = self.request(time), self._last
+        if out:
+            asked["out"] = out
         if last is not None and last.time > time:  # another run has begun
             last = None
         solve = partial(self.problem.solve, time, state, **asked)

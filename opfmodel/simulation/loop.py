@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from opfmodel.errors import HorizonError, IncompatibleError, ModelError
@@ -15,7 +15,8 @@ from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.memory import check_memory, run_bytes
 from opfmodel.simulation.controller import Controller, OnInfeasible
-from opfmodel.simulation.plants.base import Plant
+from opfmodel.simulation.outages import Outages
+from opfmodel.simulation.plants.base import Plant, Step
 from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
 from solvers.interrupt import interruptible
@@ -81,7 +82,8 @@ def simulate(
     check_memory(f"steps = {steps:,}", run_bytes(problem.arrays.n_components, steps))
     metered = problem.objective if objective is None else objective
     problem.check_lengths(steps, metered)
-    run = Run(problem, metered, initial=initial)
+    outages = plant.outages.of(problem)
+    run = Run(problem, metered, initial=initial, outages=outages)
     state = initial
     with _progress(steps) if progress else nullcontext(lambda: None) as advance:
         controller.begin()
@@ -92,7 +94,7 @@ def simulate(
             for time in range(steps):
                 began = clock.perf_counter()
                 with interruptible():
-                    plan = controller.plan(time, state)
+                    plan = controller.plan(time, state, outages.told(time, problem.step))
                 run.plans.append(_record(plan, controller, clock.perf_counter() - began))
                 if not plan.optimal:
                     run.status, run.infeasible = plan.status, plan.infeasible
@@ -100,8 +102,8 @@ def simulate(
                     break
                 with interruptible():
                     step = plant.apply(plan)
-                run.steps.append(step)
-                state = step.state
+                run.steps.append(_recorded(step, outages, problem, time))
+                state = outages.resumed(problem, time, step.state)
                 advance()
                 if on_step is not None:
                     on_step(run)
@@ -111,6 +113,17 @@ def simulate(
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
     return run
+
+
+def _recorded(step: Step, outages: Outages, problem: MultiStage, time: int) -> Step:
+    """Return a step with what was out of service."""
+    if not outages.events:
+        return step
+    return replace(
+        step,
+        values={**step.values, **outages.record(problem, time)},
+        described={**step.described, **outages.described},
+    )
 
 
 def check_first_stage(problem: MultiStage) -> None:

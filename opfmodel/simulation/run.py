@@ -12,6 +12,7 @@ from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage
 from opfmodel.results import dataset
+from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Step
 from opfmodel.simulation.records import summarise
 
@@ -40,6 +41,8 @@ class Run:
         Whether it ended because a plan was infeasible.
     interrupted
         Whether it ended by Ctrl-C.
+    outages
+        The outages that happen.
     """
 
     problem: MultiStage
@@ -52,6 +55,7 @@ class Run:
     interrupted: bool = False
     build_seconds: float = 0.0
     initial: Initial | None = None
+    outages: Outages = field(default_factory=Outages)
     _finished: xr.Dataset | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -80,6 +84,7 @@ class Run:
             key: np.column_stack([step.values.get(key, zero) for step in self.steps])
             for key, zero in absent.items()
         }
+        network = self.outages.without_costs(network, range(len(self.steps)), self.problem.step)
         return NumericStage(network, self.problem.step, values, self.problem.model.devices)
 
     @property
@@ -132,6 +137,8 @@ class Run:
         ):
             made[key] = ("time", np.array(words, dtype=str), {"long_name": key.replace("_", " ")})
         controller = self.problem.formulation.name
+        if self.outages.events:
+            made.attrs["outage_rating"] = self.outages.rating
         made.attrs |= {
             "network": self.problem.network.name,
             "formulation": self.steps[-1].formulation if self.steps else controller,
@@ -166,5 +173,6 @@ class Run:
             "diagnosis": {
                 str(step): plan["diagnosis"] for step, plan in enumerate(self.plans) if plan["diagnosis"]
             },
+            **self.outages.summary(len(self.steps), self.problem.step),
             **summarise(self.problem, self.steps),
         }

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.errors import IncompatibleError
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.simulation.outages import Outage, Outages, outages_of
 
 __all__ = ["Key", "Plant", "Step", "Values"]
 
@@ -58,9 +61,52 @@ class Plant:
     needs_perfect_forecast
         Whether the plant takes the plan as the outcome; an imperfect forecast would then break the
         power balance.
+    takes_outages
+        Whether it realises outages: a component that is out of service in a step carries and produces
+        nothing in it.
+    outages
+        The outages that happen; see :meth:`with_outages`.
     """
 
     needs_perfect_forecast: ClassVar[bool] = False
+    takes_outages: ClassVar[bool] = False
+    outages: Outages = Outages()
+
+    def with_outages(
+        self,
+        events: Iterable[Outage],
+        known: int | None = None,
+        minutes: float | None = None,
+        rating: float | None = None,
+    ) -> Self:
+        """Return the plant with outages that happen.
+
+        Parameters
+        ----------
+        events
+            What trips, and when.
+        known
+            Steps after the trip until the controller knows: by default 1, or 0 if the plant follows the plan,
+            which then has to know at once.
+        minutes
+            Time in which units respond in the steps in which the controller does not know; by default that
+            of its security, else 15.
+        rating
+            Multiple of the rating of a branch in these steps, if it has no emergency rating; by default that
+            of its security, else 1.
+
+        Raises
+        ------
+        IncompatibleError
+            The plant does not realise outages, or follows plans that do not know of them.
+        """
+        if not self.takes_outages:
+            raise IncompatibleError(
+                f"outages: the plant {type(self).__name__} does not realise any", "outages"
+            )
+        made = copy(self)
+        made.outages = outages_of(events, known, self.needs_perfect_forecast, minutes=minutes, rating=rating)
+        return made
 
     def check(self, network: PerUnitNetwork) -> None:
         """Raise :class:`opfmodel.errors.ModelError` if the options do not fit a network."""

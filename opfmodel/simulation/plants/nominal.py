@@ -12,6 +12,7 @@ class NominalPlant(Plant):
     """Follow the plan exactly."""
 
     needs_perfect_forecast = True
+    takes_outages = True
 
     def apply(self, plan: Plan) -> Step:
         """Return the first stage of the plan as the outcome."""

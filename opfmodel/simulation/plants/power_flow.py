@@ -85,7 +85,7 @@ class PowerFlow(ACPlant):
         others = [key for key in set_points(plan) if key not in ALWAYS]
         prices = dict.fromkeys((*ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0)
         self._set_points = SetPoints(prices, _without_limits(problem.arrays))
-        return one_stage(problem, self._set_points, devices)
+        return one_stage(problem, self._set_points, devices, outages=self.outages.components)
 
     def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
         """Solve for the set-points, with voltages held at buses with generators."""
@@ -95,7 +95,7 @@ class PowerFlow(ACPlant):
         held = window["generator", "pg_set"]
         window["generator", "pg_set"] = np.minimum(held, network.generator.p_max)
         low, high = network.bus.vm_min, network.bus.vm_max
-        at = np.unique(network.generator.bus)
+        at = np.unique(network.generator.bus[network.generator.status[:, 0] > 0])
         wanted = plan.quantities().get(("bus", "vm"), np.ones((len(network.bus), 1)))[:, :1]
         least, most = np.full_like(wanted, _LEAST_VM), np.full_like(wanted, _MOST_VM)
         least[at] = most[at] = np.clip(wanted, low, high)[at]

@@ -12,6 +12,7 @@ from opfmodel.model import Device, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
@@ -30,8 +31,11 @@ class ACPlant(Plant):
     builds the problem (:meth:`make`) and solves it for set-points (:meth:`find`).
     """
 
+    takes_outages = True
+
     def __init__(self) -> None:
         self._set_points = SetPoints({})
+        self._happening = Outages()
         self._controlled: MultiStage | None = None
         self._own: MultiStage | None = None
         self._last: Plan | None = None
@@ -40,7 +44,9 @@ class ACPlant(Plant):
 
     def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
         """Start a run; the plant recompiles its own problem only if the controller's is a new one."""
-        if self._controlled is None or not problem.is_variant_of(self._controlled):
+        self._happening = self.outages.of(problem)
+        other = self._own is not None and self._own.outages != self.outages.components
+        if self._controlled is None or other or not problem.is_variant_of(self._controlled):
             self._controlled, self._own = problem, None
             names, known = problem.arrays.generator.names, problem.profiles
             self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
@@ -62,9 +68,10 @@ class ACPlant(Plant):
             self.begin(plan.problem)
         if self._own is None:
             self._own = self.make(plan)
-        network = plan.problem.window(plan.time, 1)
+        network = self._happening.network(plan.problem, plan.time)
         planned = {key: value[:, 0] for key, value in plan.quantities().items() if key[0] not in _NETWORK}
-        aims = _with_energy(self.aims(plan, planned), planned, network, plan.problem.step)
+        wanted = _without(self.aims(plan, planned), network)
+        aims = _with_energy(wanted, planned, network, plan.problem.step)
         found = self.find(plan, aims, network)
         values = self._values(aims, found)
         before = self._before
@@ -94,9 +101,10 @@ class ACPlant(Plant):
     def solve(self, time: int, initial: dict[str, Any] | None, window: Values) -> Plan:
         """Solve from the last state, then from a cold start if that fails."""
         assert self._own is not None
-        found = self._own.solve(time, initial, self._last, expected=window)
+        out = self._happening.out(time, self._own.step)
+        found = self._own.solve(time, initial, self._last, expected=window, out=out)
         if not found.optimal and self._last is not None:
-            found = self._own.solve(time, initial, expected=window)
+            found = self._own.solve(time, initial, expected=window, out=out)
         self._last = found if found.optimal else None
         return found
 
@@ -124,6 +132,16 @@ class ACPlant(Plant):
             low, high = (table.arrays[field][:, 0] for field in ("p_min", "p_max"))
             state["pg"] = np.clip(state["pg"], low * network.base_mva, high * network.base_mva)
         return state
+
+
+def _without(aims: Values, network: PerUnitNetwork) -> Values:
+    """Return set-points that are zero where a unit or storage is out of service."""
+    made = dict(aims)
+    for kind, name in ALWAYS:
+        status = network.tables[kind].status[:, 0]
+        if (kind, name) in made and not status.all():
+            made[kind, name] = made[kind, name] * status
+    return made
 
 
 def _with_energy(aims: Values, planned: Values, network: PerUnitNetwork, step: float) -> Values:

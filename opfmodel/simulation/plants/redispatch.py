@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
+import numpy as np
+
 from opfmodel.model import Elastic
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
 from opfmodel.network.quantities import In
+from opfmodel.network.series import widest
 from opfmodel.plan import End, MultiStage, Plan
-from opfmodel.simulation.plants.base import Values
+from opfmodel.simulation.plants.base import Array, Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of
 
 __all__ = ["Redispatch"]
@@ -55,8 +58,16 @@ class Redispatch(ACPlant):
         prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
         # a small value of stored energy keeps lossy storage from charging and discharging at once
         end = End(price=0.01 * self.price)
-        self._set_points = SetPoints(prices)
-        return one_stage(plan.problem, self._set_points, plan.problem.devices, elastic=self.elastic, end=end)
+        names = self.outages.components
+        self._set_points = SetPoints(prices, _limits(plan.problem) if names else {})
+        return one_stage(
+            plan.problem,
+            self._set_points,
+            plan.problem.devices,
+            elastic=self.elastic,
+            end=end,
+            outages=names,
+        )
 
     def find(self, plan: Plan, aims: Values, network: PerUnitNetwork) -> Plan:
         """Change the set-points as little as possible."""
@@ -65,4 +76,30 @@ class Redispatch(ACPlant):
         dispatch = {"pg": before, "qg": None} if len(network.generator) else {}
         stocks = {name: values for name, values in plan.stocks().items() if values.size}
         initial = {**dispatch, **stocks}
-        return self.solve(plan.time, initial, self._set_points.targets(network, aims))
+        window = self._set_points.targets(network, aims)
+        for kind, field in self._set_points.fields:
+            window[kind, field] = network.tables[kind].arrays[field]
+        if self._happening.surprising(plan.time, plan.problem.step) and len(network.generator):
+            window |= self._within(aims["generator", "pg"][:, None], network)
+        return self.solve(plan.time, initial, window)
+
+    def _within(self, planned: Array, network: PerUnitNetwork) -> Values:
+        """Return the limits of units that move from their set-points for as long as a response may take."""
+        units = network.generator
+        assert self._happening.minutes is not None
+        reach = units.ramp * self._happening.minutes / 60
+        low, high = np.maximum(units.p_min, planned - reach), np.minimum(units.p_max, planned + reach)
+        return {
+            ("generator", "p_min"): np.minimum(low, units.p_max),
+            ("generator", "p_max"): np.maximum(high, units.p_min),
+        }
+
+
+def _limits(problem: MultiStage) -> Values:
+    """Return the fields that differ in a step in which the controller does not know what is out."""
+    loosest = widest(problem.profiles, problem.arrays)
+    fields = (("generator", "p_min"), ("generator", "p_max"), ("generator", "ramp"), ("branch", "rating"))
+    return {
+        (kind, field): loosest.get((kind, field), problem.arrays.tables[kind].arrays[field])
+        for kind, field in fields
+    }
