@@ -42,8 +42,8 @@ from opfmodel.plan.risk import Risk
 from opfmodel.plan.screening import screened
 from opfmodel.plan.security import NOTHING, Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
-from opfmodel.plan.solving import solved
-from solvers import Program, Session
+from opfmodel.plan.solving import posed, solved
+from solvers import Instance, Program, Session
 from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
@@ -664,3 +664,7 @@ class MultiStage:
             Bounds of rows and variables, by block, in place of those of the request.
         """
         return solved(self, self._compiled, request, previous, multipliers, limits)
+
+    def pose(self, request: Request, limits: Limits | None = None) -> tuple[Instance, PerUnitNetwork]:
+        """Return what :meth:`solve_once` would solve, and the network at its nodes."""
+        return posed(self, self._compiled, request, limits)

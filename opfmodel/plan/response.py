@@ -16,7 +16,7 @@ from opfmodel.network.components import BUILT_IN
 from opfmodel.network.outages import ACOutages, DCOutages, Reserve
 from opfmodel.plan.end import End
 from opfmodel.plan.outages import free_rows, splitting
-from opfmodel.plan.request import Request
+from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import NOTHING, Security
 from opfmodel.plan.set_points import participation_of
@@ -31,6 +31,7 @@ Array = npt.NDArray[np.float64]
 State = Callable[[str], "Array | None"]  # values of a variable in per unit, by its name
 
 _AFTER = slice(1, 2)  # the node after the outage, in the problem of a contingency
+_WITHIN = 1e-6  # p.u.; violation that is tolerance
 _DROOP = 0.05  # p.u.; fall of the voltage at which a unit adds all its reactive reserve
 
 
@@ -133,6 +134,11 @@ class Responses:
         self.peak = problem.peak
         self.outages = security.outages(self.peak)
         self.problem = problem.contingency_problem(security, self.outages)
+        self._known: dict[tuple[int, str], Plan] = {}
+
+    def begin(self) -> None:
+        """Begin with another request: nothing is known of its stages."""
+        self._known.clear()
 
     def possible(self, already: Sequence[str]) -> list[str]:
         """Return the outages that may follow when some components are out already."""
@@ -174,7 +180,27 @@ class Responses:
             for values in (stage.network.tables[kind].arrays[field],)
         }
         request = Request(stage.time, {}, End(), expected, horizon, already)
-        return problem.solve_once(request, previous, limits=dict(self._given(stage.state)))
+        limits = dict(self._given(stage.state))
+        known = self._known.get((stage.number, out))
+        plan = None if known is None else self._still(known, request, limits)
+        if plan is None:
+            plan = problem.solve_once(request, known or previous, limits=limits)
+        if plan.optimal and not plan.short:
+            self._known[stage.number, out] = plan
+        return plan
+
+    def _still(self, known: Plan, request: Request, limits: Limits) -> Plan | None:
+        """Return a response that is known as that to another dispatch of its stage; None if it is not one."""
+        (instance, network), model = self.problem.pose(request, limits), known.model
+        x, blocks = known.solution.x.copy(), known.solution.program.variables
+        for name, state in model.states.items():
+            if state.role == "stock":  # it changes by as much as before
+                before = blocks[name].index[:, 1]
+                x[blocks[name].index[:, 2]] += np.clip(x, instance.lower, instance.upper)[before] - x[before]
+        x = np.clip(x, instance.lower, instance.upper)
+        solution = replace(known.solution, instance=instance, x=x, iterations=0, seconds=0.0)
+        plan = Plan(self.problem, model, solution, network, request)
+        return None if solution.primal_residual > _WITHIN or plan.short else plan
 
     def _outcome(self, stage: Stage, out: str, already: tuple[str, ...], central: Plan) -> Outcome:
         """Return what follows from an outage after a stage."""

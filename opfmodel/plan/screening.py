@@ -54,6 +54,7 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
     security = problem.security
     assert security is not None
     responses = problem.responses
+    responses.begin()
     possible = responses.possible(request.out)
     rounds: list[Round] = []
     solved: list[Plan] = []

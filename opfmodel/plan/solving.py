@@ -22,40 +22,32 @@ from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import at_contingencies
 from opfmodel.plan.start import grown, lifted, moved
-from solvers import Kind, Program, Start, classify
+from solvers import Instance, Kind, Program, Start, classify
 
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["solved"]
+__all__ = ["posed", "solved"]
 
 Array = npt.NDArray[np.float64]
 
 
-def solved(
-    problem: MultiStage,
-    compiled: Compiled,
-    request: Request,
-    previous: Plan | None = None,
-    multipliers: bool = True,
-    limits: Limits | None = None,
-) -> Plan:
-    """Return the plan of one solve; of an elastic problem for the sum of cost and penalty.
+def posed(
+    problem: MultiStage, compiled: Compiled, request: Request, limits: Limits | None = None
+) -> tuple[Instance, PerUnitNetwork]:
+    """Return the instance of a compiled problem that a request asks for, and the network at its nodes.
 
     Parameters
     ----------
-    previous
-        An earlier plan to start from, with its multipliers or without.
     limits
         Bounds of rows and variables, by block, in place of those of the request.
     """
     time, initial, end = request.time, request.initial, request.end
-    model, program, session = compiled.model, compiled.program, compiled.session
-    _check(request, problem, compiled, previous)
+    model, program = compiled.model, compiled.program
     horizon = problem.horizon_from(time)
     if len(horizon) == len(request.horizon):
         horizon = request.horizon
-    begin = problem.stages - len(horizon.regular)
+    begin = _begin(problem, request)
     series = {**problem.ahead(time), **(request.expected or {})}
     never = idle(problem.arrays, horizon, request.out)
     lost = lost_fields(problem.arrays, horizon, problem.outages)
@@ -91,13 +83,40 @@ def solved(
             )
     for name, (lower, upper) in {**dict(free_rows(model, program, never)), **(limits or {})}.items():
         numbers.limit(name, lower, upper)
-    instance = numbers.instance()
-    start, effort = _from_previous(previous, program, request, begin, multipliers), 0.0
+    return numbers.instance(), network
+
+
+def solved(
+    problem: MultiStage,
+    compiled: Compiled,
+    request: Request,
+    previous: Plan | None = None,
+    multipliers: bool = True,
+    limits: Limits | None = None,
+) -> Plan:
+    """Return the plan of one solve; of an elastic problem for the sum of cost and penalty.
+
+    Parameters
+    ----------
+    previous
+        An earlier plan to start from, with its multipliers or without.
+    limits
+        As for :func:`posed`.
+    """
+    _check(request, problem, compiled, previous)
+    instance, network = posed(problem, compiled, request, limits)
+    begin = _begin(problem, request)
+    start, effort = _from_previous(previous, compiled.program, request, begin, multipliers), 0.0
     if start is None and not limits:
         start, effort = _from_expected(problem, compiled, request, network)
-    solution = session.solve(instance, start)
+    solution = compiled.session.solve(instance, start)
     solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
-    return Plan(problem, model, solution, network, request)
+    return Plan(problem, compiled.model, solution, network, request)
+
+
+def _begin(problem: MultiStage, request: Request) -> int:
+    """Return the stage of the program at which a plan begins."""
+    return problem.stages - len(problem.horizon_from(request.time).regular)
 
 
 def _gone(table: Table, out: Sequence[str]) -> npt.NDArray[np.bool_]:
