@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import opfmodel as om
 from opfmodel.check import Report, check
-from opfmodel.errors import IncompatibleError, ModelError, SecurityError
+from opfmodel.errors import IncompatibleError, ModelError, ScenarioError, SecurityError
+from opfmodel.formulations.base import Formulation, angles, publish_flows
+from opfmodel.model import Model
+from opfmodel.results import figures
+from opfmodel.results.store import load, save
 
 FORMULATIONS = ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"]
 OUT = [("ab",), ("gas",), ("cell",), ("ab", "tank"), ("bc", "gas")]
@@ -149,6 +154,38 @@ def test_what_solves_refuse() -> None:
     case.remove("ad")
     with pytest.raises(SecurityError, match="outages: 'cd': its outage splits the grid and cuts off 30 MW"):
         om.MultiStage(case, outages=["cd"])
+
+
+class Rigid(Formulation):
+    """Linear flows that do not heed outages."""
+
+    name = "rigid"
+    reactive = False
+    publishes = ("va", "pf", "pt")
+
+    def declare(self, model: Model) -> None:
+        branch, va = model.network.branch, angles(model)
+        flow = 10.0 * (va[branch.from_bus] - va[branch.to_bus])
+        publish_flows(model, flow, None, -flow, None)
+        model.inject(branch.from_bus, p=-flow)
+        model.inject(branch.to_bus, p=flow)
+
+
+def test_a_formulation_that_does_not_heed_outages_is_refused() -> None:
+    assert om.MultiStage(grid(), formulation=Rigid(), outages=["gas"]).solve(out=["gas"]).optimal
+    with pytest.raises(IncompatibleError, match="'rigid' does not take branches out of service"):
+        om.MultiStage(grid(), formulation=Rigid(), outages=["ab"]).solve()
+
+
+def test_a_storage_that_is_out_has_no_end() -> None:
+    initial = {"e": [100.0, 5.0]}
+    for end in (om.End(minimum=0.9), om.End(cyclic=True)):
+        every = problem(["tank"], formulation="dc", end=end)
+        assert not every.solve(out=["tank"], initial={"e": [10.0, 5.0]}, end=om.End(minimum=1.0)).optimal
+        plan = every.solve(out=["tank"], initial=initial)
+        assert plan.optimal
+        alone = problem((), formulation="dc", without=["tank"], end=end).solve(initial={"e": [100.0]})
+        assert plan.objective == pytest.approx(alone.objective, rel=1e-6)
 
 
 # Closed loops ------------------------------------------------------------------------------------
@@ -346,3 +383,94 @@ def test_what_loops_refuse() -> None:
             loop(om.PowerFlow(), events)
     with pytest.raises(SecurityError, match="these outages split the grid"):
         loop(om.PowerFlow(), [om.Outage("ad", 1, 2), om.Outage("cd", 2, 1)])
+
+
+# Scenarios ---------------------------------------------------------------------------------------
+
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "case5-outage.yaml"
+
+
+def test_a_scenario_states_outages_and_its_secured_variant_rides_through() -> None:
+    short = {"time.steps": 14, "profiles": []}
+    free, secured, told = (
+        om.load_scenario(SCENARIO, variant, short).simulate() for variant in (None, "secured", "told")
+    )
+    for run in (free, secured, told):
+        assert run.status == "done"
+        assert run.data["branch_status"].sel(branch="1-4").values.tolist() == [1] * 12 + [0, 0]
+        assert run.data.attrs["outage_rating"] == 1.2
+        assert run.summary()["elastic_steps"] == 0
+    assert free.data["outages_known"].values.tolist() == [1] * 12 + [0, 1]
+    assert told.data["outages_known"].values.tolist() == [1] * 14
+    assert free.summary()["shed_mwh"] > 10
+    assert max(run.summary()["shed_mwh"] for run in (secured, told)) < 1e-2
+    assert checked(free).violations["branch rating"].value > 1e-3
+    assert checked(secured).max_violation < 1e-6
+    assert secured.cost > free.cost * 1.02
+
+
+def test_the_keys_of_outages() -> None:
+    events = [
+        {"generator": "gen3", "step": 2, "hours": "60 min"},
+        {"storage": "cell1", "step": 1, "hours": 2},
+    ]
+    over = {"plant.outages": events, "plant.mode": "power-flow", "plant.known": 2, "plant.minutes": "0.1 h"}
+    loaded = om.load_scenario(SCENARIO, None, over)
+    plant = loaded.plant()
+    assert loaded.problem.outages == ("gen3", "cell1")
+    assert plant.outages.events == (om.Outage("gen3", 2, 1.0), om.Outage("cell1", 1, 2.0))
+    assert (plant.outages.known, plant.outages.minutes, plant.outages.rating) == (2, 6.0, 1.2)
+    nominal = om.load_scenario(
+        SCENARIO,
+        None,
+        {"plant": {"mode": "nominal", "outages": events, "known": 0, "minutes": 5, "rating": 1}},
+    )
+    assert nominal.plant().outages.known == 0
+    security = {"contingencies": "all", "minutes": 20, "rating": 1.4}
+    secured = om.load_scenario(SCENARIO, None, {"controller.security": security})
+    found = om.Redispatch().with_outages([om.Outage("1-4", 1, 1)]).outages.of(secured.problem)
+    assert (found.known, found.minutes, found.rating) == (1, 20, 1.4)
+
+
+OF = {"step": 1, "hours": 1}
+
+
+@pytest.mark.parametrize(
+    ("over", "text"),
+    [
+        ({"outages": [{"branch": "1-7", **OF}]}, r"plant\.outages\.0\.branch: '1-7': no branch in service .*'1-"),
+        ({"outages": [{"generator": "1-4", **OF}]}, r"outages\.0\.generator: '1-4': no generator in service"),
+        ({"outages": [OF]}, r"plant\.outages\.0: names 0 components; must name one"),
+        ({"outages": [{"branch": "1-4", "generator": "gen1", **OF}]}, r"outages\.0: names 2 components"),
+        ({"outages": [{"line": "1-4", **OF}]}, r"plant\.outages\.0\.line: .*unknown key"),
+        ({"outages": [{"branch": "1-4", "step": 1}]}, r"plant\.outages\.0.*hours"),
+        ({"outages": [{"branch": "1-4", "step": 1, "hours": 0}]}, r"outages\.0\.hours"),
+        ({"outages": [{"branch": "1-4", "step": -1, "hours": 1}]}, r"outages\.0\.step"),
+        ({"outages": [{"branch": "1-4", "step": 1, "hours": 1.5}]}, r"hours = 1\.5: must be a multiple of the step"),
+        ({"outages": [{"branch": "1-4", "step": 1, "hours": "3 MW"}]}, r"outages\.0\.hours.*MW"),
+        ({"outages": [{"branch": "1-4", **OF}] * 2}, r"outages\.1.*already out in step 1"),
+        (
+            {"outages": [{"branch": "1-4", **OF}, {"branch": "4-5", **OF}, {"branch": "3-4", **OF}]},
+            r"these outages split the grid and cut off",
+        ),
+        ({"known": -1}, r"plant\.known"),
+        ({"known": 0.5}, r"plant\.known"),
+        ({"mode": "nominal", "known": 1}, r"plant\.known: known = 1: the plant follows plans"),
+        ({"minutes": 0}, r"minutes = 0"),
+        ({"rating": -1}, r"rating = -1"),
+        ({"knwon": 1}, r"plant 'redispatch' has no option 'knwon'; did you mean 'known'"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_outages(over: dict[str, object], text: str) -> None:
+    with pytest.raises(ScenarioError, match=text):
+        om.load_scenario(SCENARIO, None, {f"plant.{key}": value for key, value in over.items()})
+
+
+def test_figures_mark_what_is_out(tmp_path: Path) -> None:
+    run = loop(om.NominalPlant(), [om.Outage("ab", 1, 2), om.Outage("gas", 3, 1)], "dc")
+    figure = figures.system(run.data)
+    assert [text.get_text().strip() for text in figure.axes[0].texts] == ["ab out", "gas out"]
+    save(run.data, run.summary(), tmp_path)
+    kept = load(tmp_path)
+    assert kept["branch_status"].equals(run.data["branch_status"])
+    assert len(figures.save_figures(kept, tmp_path, figures=["system"])) == 2

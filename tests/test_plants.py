@@ -534,11 +534,11 @@ def test_a_scenario_names_its_plant() -> None:
         ({"mode": "ac"}, "plant.mode: there is no plant 'ac'; available: nominal, power-flow, redispatch"),
         (
             {"shedding_price": 5.0},
-            "plant.shedding_price: plant 'nominal' has no option 'shedding_price'; available: mode",
+            "plant.shedding_price: plant 'nominal' has no option 'shedding_price'; available: known, minutes, mode",
         ),
         (
             {"mode": "power-flow", "price": 5.0},
-            "plant.price: plant 'power-flow' has no option 'price'; available: mode, participation",
+            "plant.price: plant 'power-flow' has no option 'price'; available: known, minutes, mode, outages, participation",
         ),
         (
             {"mode": "redispatch", "price": -5.0},

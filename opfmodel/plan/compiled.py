@@ -108,6 +108,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         outages=problem.outages,
     )
     problem.formulation.declare(model)
+    _check_switched(problem, model)
     for device in problem.devices:
         model.connect(device)
     if not all(map(model.has, problem.objective.needs)):
@@ -116,6 +117,16 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
     if problem.security is not None:
         problem.security.hold(model)
     return model
+
+
+def _check_switched(problem: MultiStage, model: Model) -> None:
+    """Raise an error if branches go out of service and the formulation has not asked which."""
+    asked = "status" in vars(model)
+    if ("branch", "status") in model.series and not asked and model.has("pf"):
+        raise IncompatibleError(
+            f"formulation {problem.formulation.name!r} does not take branches out of service: what they "
+            "carry must be multiplied by model.switched"
+        )
 
 
 def _check_needs(problem: MultiStage, model: Model) -> None:

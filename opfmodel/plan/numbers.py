@@ -93,17 +93,18 @@ class Numbers:
             if values is not None and delay == 0:
                 self.parameters[f"{name}_previous"] = values[state.ramped]
 
-    def end_with(self, name: str, end: End) -> None:
-        """Apply the terminal conditions to stored energy."""
+    def end_with(self, name: str, end: End, out: npt.NDArray[np.bool_]) -> None:
+        """Apply the terminal conditions to stored energy, except where the storage is out of service."""
         state = self.model.states[name]
         if state.is_energy:
             if end.cyclic:
                 lower, upper = self._bounds(f"{name}_cyclic")
-                lower[:] = upper[:] = 0.0
+                lower[~out] = upper[~out] = 0.0
             if end.minimum > 0:
                 lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
                 last = self.model.horizon.leaves + 1
-                lower[:, last] = np.maximum(lower[:, last], end.minimum * upper[:, last])
+                least = np.where(out[:, None], 0.0, end.minimum)
+                lower[:, last] = np.maximum(lower[:, last], least * upper[:, last])
             price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
             self.parameters[f"{name}_end_price"] = np.array([price])
 

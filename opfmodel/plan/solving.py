@@ -71,7 +71,7 @@ def posed(
         else:
             values = table.arrays[state.initial][:, 0] if state.initial else None
         numbers.start_from(state.name, values)
-        numbers.end_with(state.name, end)
+        numbers.end_with(state.name, end, _gone(table, request.out))
     for constraint in problem.constraints.values():
         if constraint.limited:
             low, high = constraint.window(time, horizon.steps, problem.at_end == "repeat")

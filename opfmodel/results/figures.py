@@ -238,7 +238,27 @@ def _finish(figure: Figure, data: xr.Dataset) -> None:
         last.set_xlabel(f"time [{name}]")
     else:
         last.set_xlabel("time [h]")
+    _mark_outages(figure, data)
     _legend(figure)
+
+
+def _mark_outages(figure: Figure, data: xr.Dataset) -> None:
+    """Shade the steps in which a component is out of service, and name it."""
+    ends = _ends(data, np.arange(data.sizes["time"])) if "time" in data.dims else []
+    for quantity in (str(name) for name in data if str(name).endswith("_status")):
+        kind = quantity.removesuffix("_status")
+        if data[quantity].dims != ("time", kind):
+            continue
+        for name in data[kind].values:
+            out = np.append(data[quantity].sel({kind: name}).values == 0, False)
+            edges = np.flatnonzero(np.diff(out.astype(int), prepend=0))
+            for first, last in zip(edges[::2], edges[1::2], strict=True):
+                for axis in figure.axes:
+                    axis.axvspan(ends[first], ends[last], color="0.5", alpha=0.15, linewidth=0)
+                at = figure.axes[0].get_xaxis_transform()
+                figure.axes[0].text(
+                    ends[first], 1.0, f" {name} out", transform=at, va="top", fontsize="small", color="0.3"
+                )
 
 
 def _total(data: xr.Dataset, quantity: str) -> Any:

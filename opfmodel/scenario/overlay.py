@@ -24,10 +24,13 @@ class Choice:
         What a mapping chooses; None if it leaves the choice open.
     in_full
         Mapping for which a bare name stands; None if the field has no bare names.
+    common
+        Keys that mean the same whatever is chosen.
     """
 
     chosen: Callable[[Values], object]
     in_full: Callable[[str], dict[str, Any]] | None = None
+    common: tuple[str, ...] = ()
 
     def spelt_out(self, value: Any) -> Any:
         """Return the mapping for which a bare name stands, anything else unchanged."""
@@ -86,8 +89,10 @@ class _Field:
     def merged(self, below: Any, over: Any) -> Any:
         """Merge a value over another one."""
         below = self._spelt_out(below)
-        if not (isinstance(below, dict) and isinstance(over, dict)) or self._differs(below, over):
+        if not (isinstance(below, dict) and isinstance(over, dict)):
             return over
+        if self._differs(below, over):
+            below = self._common(below)
         return {**below, **{key: self.at(key).merged(below.get(key), value) for key, value in over.items()}}
 
     def cleared(self, below: Any, over: Any) -> Any:
@@ -96,12 +101,17 @@ class _Field:
         if not (isinstance(below, dict) and isinstance(over, dict)):
             return below
         if self._differs(below, over):
-            return {}
+            return self._common(below)
         kept = {key: self.at(key).cleared(below[key], value) for key, value in over.items() if key in below}
         return {**below, **kept}
 
     def _spelt_out(self, value: Any) -> Any:
         return value if self.choice is None else self.choice.spelt_out(value)
+
+    def _common(self, values: Values) -> dict[str, Any]:
+        """Return the keys that stay when a choice is replaced."""
+        common = () if self.choice is None else self.choice.common
+        return {key: values[key] for key in common if key in values}
 
     def _differs(self, below: Values, over: Values) -> bool:
         return self.choice is not None and self.choice.differs(below, over)

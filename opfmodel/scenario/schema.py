@@ -49,7 +49,11 @@ Spec = One | List
 
 # How mappings choose: ``{name: {option: value}}``, or a name beside its options.
 _BY_KEY = Choice(lambda values: frozenset(values) or None, lambda name: {name: {}})
-_BY_MODE = Choice(lambda values: values.get("mode"), lambda name: {"mode": name})
+_BY_MODE = Choice(
+    lambda values: values.get("mode"),
+    lambda name: {"mode": name},
+    common=("outages", "known", "minutes", "rating"),
+)
 _BY_NAME = Choice(lambda values: values.get("name"), lambda name: {"name": name})
 _BY_FORM = Choice(lambda values: "points" in values if values else None)
 _BY_SOURCE = Choice(lambda values: "draw" if "draw" in values else "cases" if "cases" in values else None)
