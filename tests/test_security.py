@@ -108,15 +108,19 @@ HORIZONS = {
 }
 
 
+@pytest.mark.parametrize("screen", [True, False])
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 @pytest.mark.parametrize("which", HORIZONS)
-def test_a_secure_plan_agrees_with_the_extensive_form(which: str, formulation: str, delay: int) -> None:
+def test_a_secure_plan_agrees_with_the_extensive_form(
+    which: str, formulation: str, delay: int, screen: bool
+) -> None:
     horizon = HORIZONS[which]
     series = [demand(horizon.steps, 0.95), demand(horizon.steps, 1.1)] if which == "tree" else []
-    security = om.Security(minutes=30, rating=TIGHT[which])
+    security = om.Security(minutes=30, rating=TIGHT[which], screen=screen)
     plan = solved(horizon, security, formulation, delay, series)
     assert plan.optimal, plan.termination
+    assert bool(plan.rounds) == screen
     stated = nodes(horizon, series or [demand(horizon.steps)], ["ab", "bc", "ac"], 30, TIGHT[which])
     reference = extensive.solve(grid(), stated, ENERGY, formulation, dispatch=BEFORE, delay=delay)
     assert plan.objective == pytest.approx(reference["objective"], rel=1e-6)
@@ -232,7 +236,7 @@ def test_the_price_of_a_rating_leaves_emergency_ratings_out() -> None:
 
 
 def test_a_warm_start_moves_contingencies_with_their_stages() -> None:
-    security = om.Security(minutes=30, rating=1.15)
+    security = om.Security(minutes=30, rating=1.15, screen=False)
     problem = om.MultiStage(grid(), 4, profiles=demand(8), security=security)
     state = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
     first = problem.solve(initial=state)
@@ -314,7 +318,8 @@ SHORT = {"time.steps": 2, "controller.horizon": 2, "controller.generator_delay":
 
 
 def test_security_is_a_key_of_a_scenario() -> None:
-    stated = {"contingencies": {"branches": ["1-*"], "storages": ["cell1"]}, "minutes": "1 h", "rating": 2}
+    out = {"branches": ["1-*"], "storages": ["cell1"]}
+    stated = {"contingencies": out, "minutes": "1 h", "rating": 2, "screen": False}
     made = om.load_scenario(CASE5, overrides={**SHORT, "controller.security": stated})
     horizon = made.problem.horizon
     assert horizon.out[2:6] == (("1-2",), ("1-4",), ("1-5",), ("cell1",))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from opfmodel.plan.request import Request
 from opfmodel.plan.response import Outcome, stages_of
@@ -37,6 +37,11 @@ class Round(NamedTuple):
     added: tuple[Outcome, ...]
     iterations: int | None
     seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the round as plain data."""
+        named = [{"out": o.out, "scenario": o.scenario, "stage": o.stage} for o in self.added]
+        return {**self._asdict(), "violated": len(self.violated), "added": named}
 
 
 def screened(problem: MultiStage, request: Request, previous: Plan | None, multipliers: bool) -> Plan:

@@ -250,6 +250,11 @@ class SecuritySection(Section):
     rating: float = Field(
         Security.rating, description="multiple of the rating of a branch that applies after an outage"
     )
+    screen: bool = Field(
+        Security.screen,
+        description="whether problems include only the contingencies that would not be survived without; the "
+        "plan is the same",
+    )
 
 
 class ControllerSection(Section):

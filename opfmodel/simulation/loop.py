@@ -154,7 +154,9 @@ def check_response(forecast: Forecast | None, plant: Plant) -> None:
 
 def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any]:
     attempts = controller.attempts
-    elastic = plan.optimal and (plan.problem is not controller.problem or bool(plan.shortages))
+    elastic = plan.optimal and (
+        plan.problem.elastic is not controller.problem.elastic or bool(plan.shortages)
+    )
     counted = [attempt.iterations for attempt in attempts if attempt.iterations is not None]
     return {
         "status": "elastic" if elastic else plan.status,
@@ -166,6 +168,7 @@ def _record(plan: Plan, controller: Controller, seconds: float) -> dict[str, Any
         "attempts": [asdict(attempt) for attempt in attempts],
         "plan_objective": plan.objective,
         "scenarios": _scenarios(controller),
+        "screening": [each.as_dict() for each in plan.rounds],
     }
 
 
