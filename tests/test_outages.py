@@ -92,6 +92,7 @@ def test_a_plan_of_an_outage_is_that_of_a_grid_without_the_component(
         alone = problem((), security, formulation, without=out).solve()
         assert plan.status == alone.status
         if alone.optimal:
+            assert check(grid(), plan.data, demand(3)).max_violation < 2e-6
             assert plan.objective == pytest.approx(alone.objective, rel=1e-6)
             assert plan.objective != pytest.approx(whole, rel=1e-4)
     assert every.solve().objective == pytest.approx(whole, rel=1e-7)  # nothing of it stays

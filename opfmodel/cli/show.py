@@ -162,6 +162,9 @@ def _measured(summary: Mapping[str, Any]) -> dict[str, str]:
     shown = {word: f"{summary[key]:,.2f} MWh" for key, word in named.items() if key in summary}
     if "violated_steps" in summary:
         shown["limits"] = f"exceeded in {summary['violated_steps']} of {summary['steps']} steps"
+    if summary.get("outages"):
+        out = (f"{name} in {len(steps)} steps" for name, steps in summary["outages"].items())
+        shown["out of service"] = ", ".join(out)
     if summary.get("unsolved_steps"):
         shown["unsolved"] = f"{summary['unsolved_steps']} of {summary['steps']} steps"
     return shown

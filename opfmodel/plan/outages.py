@@ -20,6 +20,7 @@ from solvers import Program
 
 __all__ = [
     "COSTS",
+    "STATUS",
     "check_declared",
     "check_stated",
     "cut_off",
@@ -42,6 +43,8 @@ _LOST: Mapping[str, Mapping[str, float]] = {
     "generator": {"status": 0.0, "p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
     "storage": {"status": 0.0, "power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
 }
+STATUS = "", "1 in service, 0 while it is out of service"
+"""Unit and description of a status in results."""
 # Cost of a generator that does not generate; it counts in no contingency.
 COSTS = ("c0", "segment_offset")
 

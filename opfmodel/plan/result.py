@@ -15,9 +15,10 @@ from opfmodel.errors import IncompatibleError, ModelError, nearest
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
 from opfmodel.model.elastic import LEAST, shortages
-from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.arrays import OUTAGES, PerUnitNetwork
 from opfmodel.network.units import scale
 from opfmodel.plan.diagnosis import shortfall_due
+from opfmodel.plan.outages import STATUS
 from opfmodel.plan.request import Request
 from solvers import Solution, SolutionStatus
 
@@ -291,6 +292,11 @@ class Plan:
             name: (kind, *described[name], array)
             for (kind, name), array in {**self.quantities(), **self.prices()}.items()
         }
+        if self.request.out:
+            for kind in OUTAGES:
+                table = self.network.tables[kind.kind]
+                status = np.broadcast_to(table.status, (len(table), self.stages))
+                values[f"{kind.kind}_status"] = (kind.kind, *STATUS, status)
         made = dataset(self.network, values, self._moments)
         made.attrs |= {
             "network": self.network.name,

@@ -25,7 +25,8 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("pg", "qg"), ("time", "generator")),
     **dict.fromkeys(("ps", "qs", "e", "e_next"), ("time", "storage")),
     **dict.fromkeys(("pf", "qf", "pt", "qt"), ("time", "branch")),
-    "cost_rate": ("time",),
+    **{f"{kind}_status": ("time", kind) for kind in ("branch", "generator", "storage")},
+    **dict.fromkeys(("cost_rate", "outages_known"), ("time",)),
     "generator_bus": ("generator",),
     "storage_bus": ("storage",),
 }
@@ -62,7 +63,16 @@ def check_trajectories(data: xr.Dataset) -> None:
             "_p"
         ):  # such as the injections of devices of other packages
             _require(variable.dtype.kind in "biuf", f"{name}: {variable.dtype}: must be numbers")
+    rating = data.attrs.get("outage_rating", 1.0)
+    _require(
+        _is_number(rating) and 0 < float(rating) < math.inf,
+        f"outage_rating = {shown(rating)}: must be a positive number",
+    )
     _check_time(data)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool | np.bool_)
 
 
 def _require(kept: bool, what: str) -> None:
@@ -96,9 +106,8 @@ def _check_time(data: xr.Dataset) -> None:
     rising = all(before < after for before, after in pairwise(time.values))
     _require(finite and rising, "time: must rise from step to step")
     step = data.attrs.get("step_hours", 1.0)
-    number = isinstance(step, int | float | np.number) and not isinstance(step, bool | np.bool_)
     _require(
-        number and 0 < float(step) < _MOST_HOURS and math.isfinite(step),
+        _is_number(step) and 0 < float(step) < _MOST_HOURS and math.isfinite(step),
         f"step_hours = {shown(step)}: must be a positive number",
     )
     try:

@@ -14,7 +14,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import OUTAGES, PerUnitNetwork
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.plan import MultiStage
-from opfmodel.plan.outages import COSTS, check_stated, lost_fields, status_at, without
+from opfmodel.plan.outages import COSTS, STATUS, check_stated, lost_fields, status_at, without
 from opfmodel.plan.security import Security, rating_after
 
 __all__ = ["Outage", "Outages"]
@@ -219,9 +219,8 @@ class Outages:
         """Unit and description of each recorded quantity."""
         if not self.events:
             return {}
-        text = "1 in service, 0 while it is out of service"
         return {
-            **{f"{kind.kind}_status": ("", text) for kind in OUTAGES},
+            **{f"{kind.kind}_status": STATUS for kind in OUTAGES},
             "outages_known": ("", "1 if the controller knew of all outages, else 0"),
         }
 
