@@ -157,6 +157,19 @@ def test_what_solves_refuse() -> None:
         om.MultiStage(case, outages=["cd"])
 
 
+@pytest.mark.parametrize(
+    ("formulation", "solver"),
+    [("dc", "osqp"), ("dc", "clarabel"), ("dc", "conic"), ("dc", "qp"), ("soc", "clarabel"), ("soc", "conic"),
+     ("soc", "ipopt"), ("dc-losses", "clarabel"), ("dc-losses", "ipopt"), ("copperplate", "clarabel")],
+)  # fmt: skip
+def test_every_back_end_takes_a_status_as_a_coefficient(formulation: str, solver: str) -> None:
+    every = problem(["ab", "gas"], formulation=formulation, solver=solver)
+    for out in ((), ("ab",), ("ab", "gas"), ()):
+        plan = every.solve(out=out)
+        alone = problem((), formulation=formulation, without=out).solve()
+        assert plan.objective == pytest.approx(alone.objective, rel=1e-4 if solver == "osqp" else 1e-6)
+
+
 class Rigid(Formulation):
     """Linear flows that do not heed outages."""
 

@@ -183,7 +183,7 @@ def lost_fields(network: PerUnitNetwork, horizon: Horizon, outages: Sequence[str
         if out & set(table.names):
             made += [(kind, field) for field in fields]
         if set(outages) & set(table.names):
-            made += [(kind, field) for field in COSTS if field in table.arrays and table.arrays[field].any()]
+            made += [(kind, field) for field in COSTS if table.arrays.get(field, np.zeros(0)).size]
     return made
 
 

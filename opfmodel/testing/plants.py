@@ -12,7 +12,7 @@ from opfmodel.network.components import Storage
 from opfmodel.network.network import Network
 from opfmodel.network.units import UNITS
 from opfmodel.plan import MultiStage, Plan
-from opfmodel.simulation import Controller, Plant, Run, Step, simulate
+from opfmodel.simulation import Controller, Outage, Plant, Run, Step, simulate
 from opfmodel.testing.grids import EDGE_GRIDS, demand, feeder
 from opfmodel.testing.options import check_options
 from solvers.testing import Contract
@@ -36,6 +36,7 @@ def check_plant(plant: Plant) -> None:
       physical equations.
     - It returns the complete state, does not modify plans, and is reproducible.
     - Unless it needs a perfect forecast, it balances the actual demand under any forecast.
+    - If it takes outages, what is out of service produces nothing.
 
     Parameters
     ----------
@@ -60,6 +61,8 @@ def check_plant(plant: Plant) -> None:
         _check_step(rules, step, problem.arrays, problem.solve())
     if not plant.needs_perfect_forecast:
         _check_surprise(rules, plant)
+    if plant.takes_outages:
+        _check_outage(rules, plant)
 
 
 def _check_loop(rules: Contract, plant: Plant, grid: Network, formulation: str, delay: int) -> None:
@@ -118,6 +121,19 @@ def _check_physics(rules: Contract, grid: Network, run: Run, series: dict[str, n
             rules.require(
                 violation.value <= _VIOLATION, "satisfies the physical equations", f"{family}: {violation}"
             )
+
+
+def _check_outage(rules: Contract, plant: Plant) -> None:
+    """A storage that trips draws nothing, and the equations hold."""
+    grid, series = feeder(), demand(_STEPS + 1)
+    name = next(iter(grid.of(Storage)))
+    problem = MultiStage(grid, 2, formulation="dc", profiles=series, outages=[name])
+    with rules.rule("responds to an outage"):
+        tripping = plant.with_outages([Outage(name, 1, problem.step)])
+        run = simulate(Controller(problem, on_infeasible="elastic"), tripping, _STEPS)
+    drawn = np.abs(run.data["ps"].sel(storage=name).values[1])
+    rules.require(bool(drawn <= _VIOLATION), "realises outages", f"{name} draws {drawn:g} MW")
+    _check_physics(rules, grid, run, series)
 
 
 def _check_surprise(rules: Contract, plant: Plant) -> None:
