@@ -13,7 +13,8 @@ import opfmodel as om
 from opfmodel.devices.held import divide
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.outages import ACOutages, DCOutages, Reserve
-from opfmodel.plan.response import Responses, stages_of
+from opfmodel.plan.response import Outcome, Responses, Worst, stages_of
+from opfmodel.plan.screening import worst_of
 
 PGLIB = "tests/data/pglib/pglib_opf_{}.m"
 STATE = {"e": list(ENERGY.values()), "pg": [80.0, 60.0]}
@@ -58,14 +59,13 @@ def test_a_screened_plan_is_that_of_all_contingencies(which: str, formulation: s
 
 
 def test_the_worst_outage_of_each_component_and_stage_is_added() -> None:
-    plan = solved(om.Horizon.chain(3), om.Security("all", "preventive", rating=1.2))
-    first = plan.rounds[0]
-    worst: dict[tuple[int, str], float] = {}
-    for outcome in first.violated:
-        key = outcome.stage, outcome.worst.name
-        worst[key] = max(worst.get(key, 0.0), outcome.worst.value)
-    assert {(o.stage, o.worst.name): o.worst.value for o in first.added} == worst
-    assert len(first.added) < len(first.violated)
+    def outcome(out: str, stage: int, name: str | None, value: float = 0.0) -> Outcome:
+        worst = None if name is None else Worst("branch", name, "rating", value, "MVA", "")
+        return Outcome(out, "", stage, "violated", worst)
+
+    mild, bad = outcome("ab", 0, "cd", 2.0), outcome("bc", 0, "cd", 5.0)
+    later, other, unknown = outcome("ab", 1, "cd", 1.0), outcome("ab", 0, "ac", 1.0), outcome("ac", 0, None)
+    assert set(worst_of([mild, bad, later, other, unknown])) == {bad, later, other, unknown}
 
 
 def test_units_and_storages_are_screened_too() -> None:

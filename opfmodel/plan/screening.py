@@ -14,7 +14,7 @@ from opfmodel.plan.result import Plan
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["Round", "screened"]
+__all__ = ["Round", "screened", "worst_of"]
 
 
 class Round(NamedTuple):
@@ -82,7 +82,7 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
             )
             if outcome.status != "secure"
         )
-        added = _worst(violated)
+        added = worst_of(violated)
         rounds.append(
             Round(len(known), violated, added, plan.solution.iterations, clock.perf_counter() - began)
         )
@@ -93,7 +93,7 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
     return _with_rounds(plan, solved, rounds)
 
 
-def _worst(violated: Iterable[Outcome]) -> tuple[Outcome, ...]:
+def worst_of(violated: Iterable[Outcome]) -> tuple[Outcome, ...]:
     """Return the worst outcome of each component and stage, and all without a shortfall that is known."""
     made: dict[object, Outcome] = {}
     for outcome in violated:
