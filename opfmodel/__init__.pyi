@@ -51,6 +51,10 @@ from .plan.assessment import (
     Assessment as Assessment,
     assess as assess,
 )
+from .plan.security_cost import (
+    SecurityCost as SecurityCost,
+    security_cost as security_cost,
+)
 from .plan.power_flow import (
     PowerFlowResult as PowerFlowResult,
     power_flow as power_flow,

@@ -200,6 +200,53 @@ def test_the_price_of_demand_includes_the_cost_of_security() -> None:
 
 
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+def test_the_security_price_is_the_part_of_demand_after_outages(formulation: str) -> None:
+    series = [demand(4, 0.95), demand(4, 1.1)]
+    plan = solved(HORIZONS["tree"], om.Security(minutes=30, rating=1.15), formulation, series=series)
+    prices, horizon = plan.contingency_prices(), plan.request.horizon
+    owner = horizon.owner[horizon.contingencies]
+    total = np.zeros((4, len(plan.horizon)))
+    np.add.at(total.T, owner, prices.T)
+    assert plan.data["security_price"].values == pytest.approx(total.T, abs=1e-9)
+    load, base = plan.network.load, plan.network.base_mva
+    one, k = np.unravel_index(np.argmax(np.abs(prices[load.bus])), (len(load), prices.shape[1]))
+    price = prices[load.bus[one], k]
+    assert abs(price) > 0.3
+    cost = []
+    for change in (-0.02, 0.02):
+        changed = plan.whole.load.p.copy()
+        changed[one, horizon.contingencies[k]] += change / base
+        expected = {**plan.request.expected, ("load", "p"): changed}
+        again = plan.problem.solve(initial=plan.request.initial, expected=expected)
+        cost.append(again.objective)
+    slope = (cost[1] - cost[0]) / 0.04 / horizon.influence[horizon.contingencies[k]]
+    assert price == pytest.approx(slope, rel=2e-3)
+
+
+@pytest.mark.parametrize("formulation", ["ac", "dc"])
+def test_the_cost_of_security_as_a_whole_and_by_outage(formulation: str) -> None:
+    horizon = om.Horizon.chain(3)
+    plan = solved(horizon, om.Security(minutes=30, rating=1.15), formulation)
+    cost = om.security_cost(plan)
+    free = solved(horizon, None, formulation)
+    assert cost.total == pytest.approx(plan.objective - free.objective, abs=1e-3)
+    assert list(cost.by_outage) == ["ab", "bc", "ac"]
+    for name, value in cost.by_outage.items():
+        others = {"branches": [other for other in cost.by_outage if other != name]}
+        without = solved(horizon, om.Security(others, minutes=30, rating=1.15), formulation)
+        assert value == pytest.approx(plan.objective - without.objective, abs=1e-2)
+    assert max(cost.by_outage.values()) > 1.0
+
+
+def test_the_cost_of_security_needs_a_secure_plan() -> None:
+    with pytest.raises(om.OpfmodelError, match="its problem has no security"):
+        om.security_cost(solved(om.Horizon.chain(1), None))
+    plan = solved(om.Horizon.chain(2), om.Security(minutes=5, rating=0.5))
+    with pytest.raises(om.OpfmodelError, match="its security has no cost"):
+        om.security_cost(plan)
+
+
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 def test_an_emergency_rating_takes_the_place_of_the_multiple(formulation: str) -> None:
     horizon, stated = om.Horizon.chain(2), grid()
     for name, branch in grid().of(om.Branch).items():

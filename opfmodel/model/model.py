@@ -150,6 +150,9 @@ class Model:
         if reactive:
             about = "cost of one more MVAr of demand"
             self.price("bus", "lmp_q", self._balance_price("q_balance"), "$/MVArh", about)
+        if horizon.contingencies.size:
+            about = "part of the cost of one more MW of demand that arises after outages"
+            self.price("bus", "security_price", self._security_price, "$/MWh", about)
         self._soften_balance()
 
     def connect(self, device: Device) -> None:
@@ -635,11 +638,20 @@ class Model:
         # more demand lowers the right-hand side of the balance
         def read(solution: Solution, _: PerUnitNetwork) -> Array:
             price = -solution.dual(rows)[self.zones]
-            for node in self.horizon.contingencies:  # demand is the same in a node and after an outage
-                price[:, self.horizon.owner[node]] += price[:, node]
-            return price
+            return self._with_contingencies(price)  # demand is the same in a node and after an outage
 
         return read
+
+    def _security_price(self, solution: Solution, _: PerUnitNetwork) -> Array:
+        price = -solution.dual("p_balance")[self.zones]
+        price[:, : len(self.horizon.regular)] = 0.0
+        return self._with_contingencies(price)
+
+    def _with_contingencies(self, price: Array) -> Array:
+        """Add to the prices of each regular node those of its contingencies."""
+        for node in self.horizon.contingencies:
+            price[:, self.horizon.owner[node]] += price[:, node]
+        return price
 
     # Access to declared quantities -------------------------------------------------------
 

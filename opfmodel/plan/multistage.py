@@ -397,6 +397,15 @@ class MultiStage:
         alone.outages = tuple(dict.fromkeys([*self.outages, *outages, NOTHING]))
         return alone
 
+    def with_security(self, security: Security | None) -> MultiStage:
+        """Return the same problem with other outages to survive, or none."""
+        made = self.variant(elastic=self.elastic, horizon=self.horizon.regular)
+        made.security, made.included = security, ()
+        if security is not None:
+            made._check_secured(made.elastic)
+            made._secure(security)
+        return made
+
     def include(self, contingencies: Iterable[Contingency]) -> None:
         """Include contingencies, which screening has found, in what is solved from now on."""
         self.included = (*self.included, *contingencies)
@@ -639,12 +648,18 @@ class MultiStage:
         """
         nodes = self.horizon if horizon is None else horizon
         request = Request(time, initial, self.end if end is None else end, expected, nodes, tuple(out))
+        return self.solve_requested(request, previous, multipliers)
+
+    def solve_requested(
+        self, request: Request, previous: Plan | None = None, multipliers: bool = True
+    ) -> Plan:
+        """Solve for a request; see :meth:`solve`."""
         if self.security is not None and self.security.screen:
             return screened(self, request, previous, multipliers)
-        return self.solve_request(request, previous, multipliers)
+        return self.solve_included(request, previous, multipliers)
 
-    def solve_request(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
-        """Solve the compiled problem; an elastic one for minimum penalty first, unless it is traded."""
+    def solve_included(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
+        """Solve the problem as it is, without screening; an elastic one for minimum penalty first."""
         plan = self.solve_once(request, previous, multipliers)
         certain = self.elastic is None or self.elastic.traded or (plan.optimal and not plan.short)
         return plan if certain else without_outbidding(self, plan)

@@ -333,6 +333,16 @@ class Plan:
         values = self.model.prices[name].values(self.solution, self.whole, self.nodes)
         return self._regular(values)
 
+    def contingency_prices(self) -> Array:
+        """Return what one more MW of demand after each contingency alone costs, $/MWh, by bus.
+
+        One column per contingency of the horizon of the request; they add up to the ``security_price``.
+        """
+        horizon, model = self.request.horizon, self.model
+        after = horizon.contingencies
+        price = -self.solution.dual("p_balance")[model.zones][:, after] / self.network.base_mva
+        return np.asarray(price / horizon.influence[after])
+
     def prices(self) -> dict[tuple[str, str], Array]:
         """Return all shadow prices by ``(kind, name)``; see :meth:`price`."""
         return self._held({(price.kind, name): self.price(name) for name, price in self.model.prices.items()})

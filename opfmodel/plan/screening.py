@@ -70,7 +70,7 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
             horizon = secured.horizon
         elif problem.included:
             horizon = horizon.with_contingencies(problem.included, security.response_minutes)
-        plan = secured.solve_request(replace(request, horizon=horizon), previous, multipliers)
+        plan = secured.solve_included(replace(request, horizon=horizon), previous, multipliers)
         solved.append(plan)
         began = clock.perf_counter()
         known = set(problem.included)
