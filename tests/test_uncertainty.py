@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations, permutations
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.check import check
+from opfmodel.cli.app import app
 from opfmodel.errors import HorizonError, ProfileError, ScenarioError
 from opfmodel.forecasts import Noisy, Perfect
 from opfmodel.forecasts.reduction import backward_construction, fast_forward_selection
@@ -355,3 +357,23 @@ def test_where_errors_meet_scarcity_the_plan_for_the_expected_demand_costs_more(
 
     assert cost(None) == pytest.approx(8_774, abs=1)
     assert cost(chain) - cost(None) == pytest.approx(285, abs=1)
+
+
+@pytest.mark.filterwarnings("ignore::opfmodel.errors.ProfileWarning")
+@pytest.mark.parametrize("command", ["solve", "security"])
+def test_a_plan_of_drawn_futures_is_solved_alone(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    stated = {
+        "controller.horizon": 3,
+        "time.steps": 3,
+        "controller.generator_delay": 0,
+        "controller.scenarios": "{draw: {number: 20, keep: 2, seed: 1}}",
+        "forecast": "{noisy: {deviation: 0.02, seed: 1}}",
+        "plant": "{mode: redispatch}",
+    }
+    options = [part for key, value in stated.items() for part in ("--set", f"{key}={value}")]
+    assert app([command, "scenarios/case5-step.yaml", *options, "--json"], standalone_mode=False) in (0, 1)
+    printed = json.loads(capsys.readouterr().out)
+    if command == "solve":
+        assert printed["status"] == "locally_optimal"
+    else:
+        assert {each["scenario"] for each in printed["contingencies"]} == {"", "path 1", "path 2"}

@@ -184,7 +184,10 @@ def controller_of(
     variant: str | None,
     overrides: list[str] | None,
 ) -> tuple[Controller, Mapping[str, Any] | None]:
-    """The controller of a file, with a perfect forecast, and its initial state."""
+    """The controller of a file, and its initial state.
+
+    With a perfect forecast, unless the futures that it plans for are drawn from its own.
+    """
     from opfmodel.plan import MultiStage
     from opfmodel.simulation import Controller
 
@@ -197,7 +200,9 @@ def controller_of(
         refuse_lossy(file, lossy)
         changes = {f"controller.{key}": (f"--{key}", value) for key, value in chosen.items()}
         scenario = read_scenario(file, variant, overrides, changes)
-        planner = Controller(scenario.problem, elastic=scenario.elastic, scenarios=scenario.scenarios)
+        futures = scenario.scenarios
+        forecast = None if futures is None or futures.draw is None else scenario.forecast
+        planner = Controller(scenario.problem, forecast, elastic=scenario.elastic, scenarios=futures)
         return planner, scenario.initial()
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")

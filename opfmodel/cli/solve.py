@@ -38,7 +38,8 @@ def solve(
 ) -> int:
     """Solve one optimal power flow.
 
-    A scenario is solved for the first plan of its controller, with a perfect forecast.
+    A scenario is solved for the first plan of its controller, with a perfect forecast unless its futures are
+    drawn from its own.
     """
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
