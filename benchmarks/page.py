@@ -56,6 +56,13 @@ from the plan for the expected future (the default) and from the midpoint of the
 of a closed loop.
 [uncertainty.md](uncertainty.md) has results.""",
     ),
+    "security": (
+        "Security",
+        """The outage of every branch that does not split the grid, after every stage: compile and solve,
+screening included, and the same problem without security. `violated` is what the plan without security
+does not survive, `testing` the time that testing plans took.
+[security.md](security.md#what-it-costs) has what security costs.""",
+    ),
     "peers": (
         "Single-stage AC-OPF compared with pandapower and PYPOWER",
         """The same PGLib data, passed as MATPOWER arrays. Times run from data in memory to the optimum and

@@ -272,6 +272,10 @@ class Horizon:
     def with_probabilities(self, scenarios: Sequence[float]) -> Self:
         """Return the same nodes with other probabilities of the scenarios, in the order of the leaves."""
         names = [str(number) for number in range(len(scenarios))]
+        if len(names) != len(self.leaves):
+            raise HorizonError(
+                f"{len(names)} probabilities: must be {len(self.leaves)}, one for each scenario"
+            )
         _, shares = _probabilities(dict(zip(names, scenarios, strict=True)))
         probability = np.zeros(len(self))
         for path, share in zip(self.paths, shares, strict=True):

@@ -12,7 +12,7 @@ from test_security import ENERGY, HORIZONS, TIGHT, demand, grid, solved
 import opfmodel as om
 from opfmodel.devices.held import divide
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.outages import ACOutages, DCOutages, Reserve
+from opfmodel.network.branch_outages import ACOutages, DCOutages, Reserve
 from opfmodel.plan.response import Outcome, Responses, Worst, stages_of
 from opfmodel.plan.screening import worst_of
 
@@ -131,6 +131,34 @@ def test_effort_counts_every_round() -> None:
     assert plan.solution.seconds > sum(each.seconds for each in plan.rounds)
 
 
+@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
+@pytest.mark.parametrize("available", [[0.0, 100.0], [0.01, 100.0], [100.0, 0.0]])
+def test_a_unit_that_is_not_available_takes_no_part(formulation: str, available: list[float]) -> None:
+    made = grid()
+    made.sun = om.Generator("c", p=(0, 100), q=(-20, 20), cost=om.Polynomial(0, 100, 0))
+    out = {"branches": ["ab", "bc", "ac"], "generators": ["gas"]}
+    costs = []
+    for screen in (True, False):
+        security = om.Security(out, "preventive", rating=2, screen=screen)
+        problem = om.MultiStage(
+            made, 2, formulation=formulation, profiles={"sun.p_max": available}, security=security
+        )
+        plan = problem.solve(initial={"e": [0.0, 0.0]})
+        assert plan.optimal, plan.termination
+        costs.append(plan.objective)
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+    made.remove("sun")
+    alone = om.MultiStage(made, 2, formulation=formulation, security=security)
+    assert costs[1] <= alone.solve(initial={"e": [0.0, 0.0]}).objective + 1e-3
+
+
+def test_a_loop_begins_with_nothing_included() -> None:
+    problem = om.MultiStage(grid(), 3, profiles=demand(8), security=om.Security(minutes=30, rating=1.15))
+    first, second = (om.simulate(problem, steps=2, initial=STATE) for _ in range(2))
+    assert first.cost == second.cost
+    assert second.plans[0]["screening"][0]["included"] == 0
+
+
 # Responses ----------------------------------------------------------------------------------------------
 
 
@@ -227,6 +255,22 @@ def _within(flow: om.PowerFlowResult, network: om.Network) -> bool:
         good &= apparent <= branch.rating + 1e-4
         good &= branch.angle is None or branch.angle[0] <= angle <= branch.angle[1]
     return good
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_unlimited_reserves_and_islands_without_units_are_no_obstacle() -> None:
+    made = grid()
+    for name in ("coal", "gas"):
+        made.update(name, q=(-np.inf, np.inf))
+    for name in "xyz":
+        made.add(name, om.Bus())
+    for ends in ("xy", "yz", "zx"):
+        made.add(ends, om.Branch(*ends, r=0.01, x=0.1, rating=10))
+    plan = om.MultiStage(made, 1).solve(initial={"e": [60.0, 10.0]})
+    responses = Responses(plan.problem, om.Security(rating=5))
+    (stage,) = stages_of(plan)
+    central = responses._response(stage, "", ())
+    assert responses._survived(central, responses.outages) == set(responses.outages) >= {"ab", "xy"}
 
 
 def test_droop_lets_voltages_follow_reactive_power() -> None:

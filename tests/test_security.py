@@ -16,7 +16,7 @@ import xarray as xr
 import opfmodel as om
 from opfmodel.cli.app import app
 from opfmodel.errors import IncompatibleError, ScenarioError, SecurityError
-from opfmodel.plan.security import splitting
+from opfmodel.plan.outages import splitting
 
 ENERGY = {"cell": 60.0, "tank": 10.0}
 BEFORE = {"coal": (80.0, 20.0), "gas": (60.0, 15.0)}

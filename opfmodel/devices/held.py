@@ -82,7 +82,7 @@ def _left(model: Model, what: str, shares: Array, group: Index) -> Any:
 
     if not model.outages & set(model.network.generator.names):
         return shares
-    return model.of_status("generator", f"{what} share", left)
+    return model.of_fields("generator", f"{what} share", left)
 
 
 def divide(weights: Array, group: Index) -> Array:

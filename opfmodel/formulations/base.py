@@ -46,7 +46,7 @@ class Formulation:
     slack_losses
         Whether losses are only bounded from below: fictitious ones may absorb power that costs nothing.
     physics
-        ``ac`` or ``dc`` if flows are those of :mod:`opfmodel.network.outages`, which then tests many
+        ``ac`` or ``dc`` if flows are those of :mod:`opfmodel.network.branch_outages`, which then tests many
         outages at once; ``dc`` needs a method ``flow``, see :class:`opfmodel.formulations.dc.DC`. By
         default they are not known, and every outage is tested by its own problem.
     """

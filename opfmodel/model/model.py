@@ -606,15 +606,15 @@ class Model:
         items, stages = shape
         return self.build.parameter(name, items, stages, given)
 
-    def of_status(
+    def of_fields(
         self, kind: str, name: str, value: Callable[[Table], Array], nodes: Index | None = None
     ) -> Any:
-        """Return a number that follows from the status of the components of a kind.
+        """Return a number that follows from fields of the components of a kind.
 
-        A parameter if solves may take components of the kind out of service; else it is program data.
+        A parameter if one of the fields has time series; else it is program data.
         """
         table, source = self.network.tables[kind], BoundSource(kind, 0.0, value, nodes)
-        if not self.outages & set(table.names):
+        if not any(changing == kind for changing, _ in self.series):
             return source.resolve(table)[1]
         self.parameters[name] = kind, lambda table: source.resolve(table)[1]
         items = value(table).shape[0]

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from opfmodel.errors import ModelError, shown
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.outages import cut_off
+from opfmodel.plan.power_flow_result import PowerFlowResult
 from opfmodel.plan.response import Outcome, Responses, Stage, stages_of
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import Security
-
-if TYPE_CHECKING:
-    from opfmodel.plan.power_flow_result import PowerFlowResult
 
 __all__ = ["Assessment", "Cut", "assess"]
 
@@ -100,6 +98,8 @@ def assess(dispatch: Plan | PowerFlowResult, security: Security | None = None) -
     """
     if isinstance(dispatch, Plan):
         problem, stages = dispatch.problem, stages_of(dispatch)
+    elif not isinstance(dispatch, PowerFlowResult):
+        raise ModelError(f"dispatch = {shown(dispatch)}: must be a plan or the result of a power flow")
     else:
         problem, stages = _stage_of(dispatch)
     own = problem.security or Security() if security is None else security

@@ -33,7 +33,7 @@ from opfmodel.plan.end import End
 from opfmodel.plan.extent import AtEnd, check_lengths, steps_from
 from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.nodes import over_nodes
-from opfmodel.plan.outages import check_declared
+from opfmodel.plan.outages import check_declared, check_stated
 from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.response import Responses
@@ -350,7 +350,10 @@ class MultiStage:
         >>> print(problem.elastic_twin().solve().shortages[0])
         bus bus lacks 10.0 MW at hour 0
         """
-        return self.variant(elastic=Elastic() if prices is None else prices)
+        soft = Elastic() if prices is None else prices
+        if self.security is not None:
+            self._check_secured(soft)
+        return self.variant(elastic=soft)
 
     def variant(
         self,
@@ -409,6 +412,11 @@ class MultiStage:
     def include(self, contingencies: Iterable[Contingency]) -> None:
         """Include contingencies, which screening has found, in what is solved from now on."""
         self.included = (*self.included, *contingencies)
+        vars(self).pop("secured", None)
+
+    def forget(self) -> None:
+        """Include no contingencies, as before the first solve."""
+        self.included = ()
         vars(self).pop("secured", None)
 
     @cached_property
@@ -647,7 +655,8 @@ class MultiStage:
             are :attr:`Elastic.traded`.
         """
         nodes = self.horizon if horizon is None else horizon
-        request = Request(time, initial, self.end if end is None else end, expected, nodes, tuple(out))
+        gone = () if isinstance(out, tuple) and not out else check_stated(out, self.outages, self.peak)
+        request = Request(time, initial, self.end if end is None else end, expected, nodes, gone)
         return self.solve_requested(request, previous, multipliers)
 
     def solve_requested(

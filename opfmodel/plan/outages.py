@@ -23,6 +23,7 @@ __all__ = [
     "STATUS",
     "check_declared",
     "check_stated",
+    "check_whole",
     "cut_off",
     "free_rows",
     "idle",
@@ -59,17 +60,15 @@ def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, 
     SecurityError
         The outage of a branch splits the grid.
     """
-    if isinstance(names, str) or not isinstance(names, Iterable):
-        raise ModelError(f"outages = {shown(names)}: must be a list of names")
+    made = _names(names, "outages")
     known = [name for kind in _LOST for name in network.tables[kind].names]
-    made = tuple(dict.fromkeys(names))
     for name in made:
         if name not in known:
             raise ModelError(
                 f"outages: {shown(name)}: no branch, generator or storage in service has this name; "
                 f"{nearest(str(name), known)}"
             )
-        _check_whole((name,), network, "outages")
+        check_whole((name,), network, "outages")
     return made
 
 
@@ -83,21 +82,30 @@ def check_stated(names: Iterable[str], declared: Sequence[str], network: PerUnit
     SecurityError
         Together, the outages split the grid.
     """
-    if isinstance(names, str) or not isinstance(names, Iterable):
-        raise ModelError(f"out = {shown(names)}: must be a list of names")
-    made = tuple(dict.fromkeys(names))
+    made = _names(names, "out")
     for name in made:
         if name not in declared:
             raise ModelError(
                 f"out: {shown(name)}: the problem does not declare this outage; declared: "
                 f"{listed(declared) or 'none'}; add it by MultiStage(..., outages=[...])"
             )
-    _check_whole(made, network, "out")
+    check_whole(made, network, "out")
     return made
 
 
-def _check_whole(out: Sequence[str], network: PerUnitNetwork, what: str) -> None:
-    """Raise :class:`SecurityError` if outages split the grid."""
+def _names(names: Iterable[str], what: str) -> tuple[str, ...]:
+    """Return names without repetition, or raise an error if they are none."""
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise ModelError(f"{what} = {shown(names)}: must be a list of names")
+    made = tuple(names)
+    for name in made:
+        if not isinstance(name, str):
+            raise ModelError(f"{what}: {shown(name)}: must be a name")
+    return tuple(dict.fromkeys(made))
+
+
+def check_whole(out: Sequence[str], network: PerUnitNetwork, what: str, *place: str | int) -> None:
+    """Raise :class:`SecurityError` with a place if outages split the grid."""
     if not set(out) & set(network.branch.names):
         return
     rest = set(range(len(network.bus)))
@@ -109,7 +117,8 @@ def _check_whole(out: Sequence[str], network: PerUnitNetwork, what: str) -> None
         one = len(out) == 1
         raise SecurityError(
             f"{what}: {listed(map(repr, out))}: {'its outage splits' if one else 'these outages split'} the "
-            f"grid and {'cuts' if one else 'cut'} off {load:.4g} MW of demand"
+            f"grid and {'cuts' if one else 'cut'} off {load:.4g} MW of demand",
+            *place,
         )
 
 

@@ -12,14 +12,14 @@ import numpy.typing as npt
 from opfmodel.devices.held import WIDE, divide
 from opfmodel.errors import ModelError
 from opfmodel.model.elastic import shortages
+from opfmodel.network.branch_outages import ACOutages, DCOutages, Reserve
 from opfmodel.network.components import BUILT_IN
-from opfmodel.network.outages import ACOutages, DCOutages, Reserve
 from opfmodel.plan.end import End
 from opfmodel.plan.outages import free_rows, splitting
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import NOTHING, Security
-from opfmodel.plan.set_points import participation_of
+from solvers import Solution
 
 if TYPE_CHECKING:
     from opfmodel.network.arrays import PerUnitNetwork
@@ -134,7 +134,8 @@ class Responses:
         self.peak = problem.peak
         self.outages = security.outages(self.peak)
         self.problem = problem.contingency_problem(security, self.outages)
-        self._known: dict[tuple[int, str], Plan] = {}
+        self._known: dict[tuple[int, str], Array] = {}
+        self._any: Solution | None = None  # of the problem, for what the known ones have in common
 
     def begin(self) -> None:
         """Begin with another request: nothing is known of its stages."""
@@ -181,24 +182,28 @@ class Responses:
         }
         request = Request(stage.time, {}, End(), expected, horizon, already)
         limits = dict(self._given(stage.state))
-        known = self._known.get((stage.number, out))
-        plan = None if known is None else self._still(known, request, limits)
+        plan = self._still(stage, out, request, limits)
         if plan is None:
-            plan = problem.solve_once(request, known or previous, limits=limits)
-        if plan.optimal and not plan.short:
-            self._known[stage.number, out] = plan
+            plan = problem.solve_once(request, previous, limits=limits)
+            if plan.optimal and not plan.short:
+                self._known[stage.number, out] = plan.solution.x
+                self._any = plan.solution
         return plan
 
-    def _still(self, known: Plan, request: Request, limits: Limits) -> Plan | None:
-        """Return a response that is known as that to another dispatch of its stage; None if it is not one."""
-        (instance, network), model = self.problem.pose(request, limits), known.model
-        x, blocks = known.solution.x.copy(), known.solution.program.variables
+    def _still(self, stage: Stage, out: str, request: Request, limits: Limits) -> Plan | None:
+        """Return the response found for another dispatch of the stage; None if it is none to this one."""
+        known, model = self._known.get((stage.number, out)), self.problem.model
+        if known is None or self._any is None:
+            return None
+        instance, network = self.problem.pose(request, limits)
+        given = np.clip(known, instance.lower, instance.upper)  # with the new dispatch of the stage
+        x = given.copy()
         for name, state in model.states.items():
-            if state.role == "stock":  # it changes by as much as before
-                before = blocks[name].index[:, 1]
-                x[blocks[name].index[:, 2]] += np.clip(x, instance.lower, instance.upper)[before] - x[before]
+            if state.role == "stock":  # points before, between and after; it changes by as much as it did
+                _, between, after = self._any.program.variables[name].index.T
+                x[after] += given[between] - known[between]
         x = np.clip(x, instance.lower, instance.upper)
-        solution = replace(known.solution, instance=instance, x=x, iterations=0, seconds=0.0)
+        solution = replace(self._any, instance=instance, x=x, iterations=0, seconds=0.0)
         plan = Plan(self.problem, model, solution, network, request)
         return None if solution.primal_residual > _WITHIN or plan.short else plan
 
@@ -216,7 +221,7 @@ class Responses:
         built_in = all(device.component in BUILT_IN for device in self.problem.devices)
         if physics is None or not built_in or not out or not central.optimal or central.short:
             return set()
-        test = (_ac_outages if physics == "ac" else _dc_outages)(central, self.security)
+        test = _ac_outages(central, self.security) if physics == "ac" else _dc_outages(central)
         survived = test.survived(np.array([known[name] for name in out], dtype=np.intp))
         return {name for name, passes in zip(out, survived, strict=True) if passes}
 
@@ -250,7 +255,7 @@ class Responses:
         return Worst(most.kind, most.component, most.soft.limit, most.worst, most.unit, str(most))
 
 
-def _dc_outages(response: Plan, security: Security) -> DCOutages:  # noqa: ARG001
+def _dc_outages(response: Plan) -> DCOutages:
     """Return the flows after outages from the state of a response, if they are linear."""
     network, branch = response.whole.over(_AFTER), response.whole.branch
     formulation: Any = response.problem.formulation
@@ -275,12 +280,11 @@ def _ac_outages(response: Plan, security: Security) -> ACOutages:
     ramp = units.ramp[:, 0] * security.response_minutes / 60
     up = np.minimum(units.p_max[:, 0], pg[:, 0] + ramp) - pg[:, 1]
     down = pg[:, 1] - np.maximum(units.p_min[:, 0], pg[:, 0] - ramp)
+    island = network.island[units.bus]
     if security.response == "preventive":
-        moves = units.p_min[:, 0] < units.p_max[:, 0]
-        weights = np.where(moves, participation_of(units, moves, security.participation), 0.0)
+        share = security.shares(units, island)[:, 0]
     else:
-        weights = np.clip(np.minimum(up, down), 0.0, WIDE)
-    share = divide(weights, network.island[units.bus])
+        share = divide(np.clip(np.minimum(up, down), 0.0, WIDE), island)
     q_up, q_down = units.q_max[:, 0] - qg[:, 1], qg[:, 1] - units.q_min[:, 0]
     droop = _DROOP if security.response == "corrective" else 0.0
     return ACOutages(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from opfmodel.plan.request import Request
 from opfmodel.plan.response import Outcome, stages_of
 from opfmodel.plan.result import Plan
+from solvers import SolutionStatus
 
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
@@ -25,7 +26,7 @@ class Round(NamedTuple):
     included
         Contingencies in the problem that was solved.
     violated
-        Outcomes of the others that the plan did not survive, or that are not known.
+        Outcomes of the others that the plan did not survive, or that are not known; None if there is no plan.
     added
         Those of them that the next problem included.
     iterations, seconds
@@ -33,7 +34,7 @@ class Round(NamedTuple):
     """
 
     included: int
-    violated: tuple[Outcome, ...]
+    violated: tuple[Outcome, ...] | None
     added: tuple[Outcome, ...]
     iterations: int | None
     seconds: float
@@ -41,7 +42,8 @@ class Round(NamedTuple):
     def as_dict(self) -> dict[str, Any]:
         """Return the round as plain data."""
         named = [{"out": o.out, "scenario": o.scenario, "stage": o.stage} for o in self.added]
-        return {**self._asdict(), "violated": len(self.violated), "added": named}
+        violated = None if self.violated is None else len(self.violated)
+        return {**self._asdict(), "violated": violated, "added": named}
 
 
 def screened(problem: MultiStage, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
@@ -58,38 +60,41 @@ def screened(problem: MultiStage, request: Request, previous: Plan | None, multi
     """
     security = problem.security
     assert security is not None
-    responses = problem.responses
+    responses, rounds, solved = problem.responses, list[Round](), list[Plan]()
     responses.begin()
     possible = responses.possible(request.out)
-    rounds: list[Round] = []
-    solved: list[Plan] = []
     while True:
-        secured = problem.secured
-        horizon = request.horizon
+        secured, horizon = problem.secured, request.horizon
         if horizon is problem.horizon:
             horizon = secured.horizon
         elif problem.included:
             horizon = horizon.with_contingencies(problem.included, security.response_minutes)
-        plan = secured.solve_included(replace(request, horizon=horizon), previous, multipliers)
+        asked = replace(request, horizon=horizon)
+        plan = secured.solve_included(asked, previous, multipliers)
         solved.append(plan)
+        if rounds and plan.solution.status is SolutionStatus.NONE:  # from a start of our own making
+            plan = secured.solve_included(asked, None, multipliers)
+            solved.append(plan)
         began = clock.perf_counter()
-        known = set(problem.included)
-        violated = tuple(
-            outcome
-            for stage in (stages_of(plan) if plan.optimal else ())
-            for outcome in responses.outcomes(
-                stage, [out for out in possible if (stage.number, (out,)) not in known], request.out
+        violated = None
+        if plan.optimal:
+            included = set(problem.included)
+            violated = tuple(
+                outcome
+                for stage in stages_of(plan)
+                for outcome in responses.outcomes(
+                    stage, [out for out in possible if (stage.number, (out,)) not in included], request.out
+                )
+                if outcome.status != "secure"
             )
-            if outcome.status != "secure"
-        )
-        added = worst_of(violated)
-        rounds.append(
-            Round(len(known), violated, added, plan.solution.iterations, clock.perf_counter() - began)
-        )
+        added = worst_of(violated or ())
+        seconds = clock.perf_counter() - began
+        rounds.append(Round(len(problem.included), violated, added, plan.solution.iterations, seconds))
         if not added:
             break
         problem.include((outcome.stage, (outcome.out,)) for outcome in added)
         previous, multipliers = plan, True
+    responses.begin()
     return _with_rounds(plan, solved, rounds)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -21,7 +21,7 @@ from opfmodel.plan.outages import splitting
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
 
-__all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "rating_after", "splitting"]
+__all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "rating_after"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -85,6 +85,10 @@ class Security:
         if self.participation is not None and self.response == "corrective":
             raise SecurityError("security: participation: applies to a preventive response only")
         self._check_contingencies()
+        if not isinstance(self.participation, Mapping | None):
+            raise SecurityError(
+                f"security: participation = {shown(self.participation)}: must be weights of units by name"
+            )
         for name, weight in (self.participation or {}).items():
             number_within(f"security: participation: {name}", weight, at_least=0, error=SecurityError)
         if not isinstance(self.screen, bool):
@@ -103,7 +107,8 @@ class Security:
         for key, names in self.contingencies.items():
             if key not in KINDS:
                 raise SecurityError(f"contingencies: {shown(key)}: {nearest(key, KINDS)}")
-            if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+            listed_names = isinstance(names, Iterable) and not isinstance(names, str)
+            if not listed_names or not all(isinstance(name, str) for name in names):
                 raise SecurityError(f"contingencies: {key}: {shown(names)}: must be a list of names")
 
     def outages(self, network: PerUnitNetwork) -> list[str]:
@@ -178,46 +183,58 @@ class Security:
             change = published.values[kept][:, nodes] - published.values[kept][:, before]
             if name == "pg":
                 change = change - self._slack(model, kept, nodes)
-            model.rows(kind, f"{name} held", change, *_unless_lost(kept), nodes=nodes)
+            model.rows(kind, f"{name} held", change, *_zero_if(_left, kept), nodes=nodes)
         units = network.generator
         at, position = np.unique(units.bus, return_inverse=True)
         magnitude = model.published.get("w") or model.published.get("vm")
         if magnitude is not None and at.size:
             change = magnitude.values[at][:, nodes] - magnitude.values[at][:, before]
-            bounds = _unless_lost(np.arange(len(units)), position)
+
+            def regulated(table: Table) -> npt.NDArray[np.bool_]:
+                left = np.zeros((at.size, table.status.shape[1]), dtype=bool)
+                np.logical_or.at(left, position, table.status > 0)
+                return left
+
+            bounds = _zero_if(regulated)
             model.rows("generator", "voltage held", change, *bounds, nodes=nodes)
 
     def _slack(self, model: Model, kept: Index, nodes: Index) -> Expression:
-        """Return what each unit that is left adds, its share in the slack of its island."""
-        network, units = model.network, model.network.generator
-        weights = participation_of(units, np.ones(len(units), dtype=bool), self.participation)[kept]
-        island = network.island[units.bus[kept]]
-
-        def shares(table: Table) -> Array:
-            left = weights[:, None] * table.status[kept]
-            return np.column_stack([divide(column, island) for column in left.T])
-
+        """Return what each of some units adds, its share in the slack of its island."""
+        network = model.network
+        island = network.island[network.generator.bus]
         slack = model.build.variable("slack held", network.n_islands, nodes.size)
-        share = model.of_status("generator", "share held", shares, nodes)
-        added: Expression = share * slack[island]
+        share = model.of_fields("generator", "share held", lambda t: self.shares(t, island)[kept], nodes)
+        added: Expression = share * slack[island[kept]]
         return added
 
+    def shares(self, units: Table, island: Index) -> Array:
+        """Return the share of each unit in a preventive response, ``(units, nodes)``.
 
-def _unless_lost(items: Index, row: Index | None = None) -> tuple[Bound, Bound]:
-    """Return the bounds of rows that hold what belongs to some items, unless all items of a row are out.
+        Units that are out of service, or cannot move in a node, take no part in it.
 
-    Parameters
-    ----------
-    row
-        Row to which each item belongs, if there is not one per item.
-    """
+        Parameters
+        ----------
+        island
+            Island of each unit.
+        """
+        moves = _left(units)
+        weights = np.where(moves, participation_of(units, moves, self.participation), 0.0)
+        return np.column_stack([divide(column, island) for column in weights.T])
+
+
+def _left(table: Table) -> npt.NDArray[np.bool_]:
+    """Return which components are in service and, if they are generators, able to move, in each node."""
+    status = table.arrays.get("status", np.ones((len(table), 1))) > 0
+    return status & (table.p_min < table.p_max) if "p_min" in table.arrays else status
+
+
+def _zero_if(
+    holds: Callable[[Table], npt.NDArray[np.bool_]], items: Index | slice = slice(None)
+) -> tuple[Bound, Bound]:
+    """Return the bounds of rows that are zero where something holds of an item, and free elsewhere."""
 
     def most(table: Table) -> Array:
-        status = table.arrays.get("status", np.ones((len(table), 1)))[items]
-        left = status if row is None else np.zeros((int(row.max()) + 1, status.shape[1]))
-        if row is not None:
-            np.maximum.at(left, row, status)
-        return np.where(left > 0, 0.0, np.inf)
+        return np.where(holds(table)[items], 0.0, np.inf)
 
     return lambda table: -most(table), most
 

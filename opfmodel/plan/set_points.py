@@ -136,19 +136,20 @@ def slack_shares(points: Held, participation: Mapping[str, float] | None) -> Arr
         A factor is negative, or belongs to no generator in service.
     """
     table = points.network.generator
-    weights = participation_of(table, points.regulates, participation)
+    weights = participation_of(table, points.regulates[:, None], participation)[:, 0]
     return divide(weights, points.network.island[table.bus])
 
 
 def participation_of(
     table: Table, able: npt.NDArray[np.bool_], participation: Mapping[str, float] | None
 ) -> Array:
-    """Return the weight of each generator in a distributed slack.
+    """Return the weight of each generator in a distributed slack, ``(generators, nodes)``.
 
     Parameters
     ----------
     able
-        Generators that participate in proportion to their capacity, unless they declare another weight.
+        Generators that participate in proportion to their capacity, unless they declare another weight,
+        ``(generators, nodes)``.
     participation
         Weights by name, in place of those declared; others do not participate.
 
@@ -157,8 +158,8 @@ def participation_of(
     ModelError
         A weight is negative, or belongs to no generator in service.
     """
-    default = np.where(able, np.clip(table.p_max[:, 0], 0.0, WIDE), 0.0)
-    declared = table.participation[:, 0] / table.base_mva
+    default = np.where(able, np.clip(table.p_max, 0.0, WIDE), 0.0)
+    declared = table.participation / table.base_mva
     weights = np.where(np.isfinite(declared), declared, default)
     if participation is not None:
         for name, factor in participation.items():
@@ -166,7 +167,8 @@ def participation_of(
             if name not in table.position:
                 known = nearest(name, table.names)
                 raise ModelError(f"participation: no generator in service is named {name!r}; {known}")
-        weights = np.array([float(participation.get(name, 0.0)) for name in table.names])
+        stated = np.array([[float(participation.get(name, 0.0))] for name in table.names])
+        weights = np.broadcast_to(stated.reshape(-1, 1), weights.shape)
     return np.asarray(weights)
 
 

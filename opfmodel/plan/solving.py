@@ -17,7 +17,7 @@ from opfmodel.network.units import scale
 from opfmodel.plan.compiled import Compiled
 from opfmodel.plan.nodes import at_nodes, mean_of_futures
 from opfmodel.plan.numbers import Numbers
-from opfmodel.plan.outages import check_stated, free_rows, idle, lost_fields, status_at, without
+from opfmodel.plan.outages import free_rows, idle, lost_fields, status_at, without
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import at_contingencies
@@ -146,8 +146,6 @@ def _check(request: Request, problem: MultiStage, compiled: Compiled, previous: 
         )
     ):
         raise ModelError("previous: belongs to a problem with other variables; give a plan of this one")
-    if request.out:
-        check_stated(request.out, problem.outages, problem.peak)
     for key in request.expected or {}:
         if key not in model.series:
             known = listed(f"{kind}.{field}" for kind, field in sorted(model.series)) or "none"

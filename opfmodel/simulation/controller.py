@@ -105,6 +105,7 @@ class Controller:
     def begin(self) -> None:
         """Start a run and discard the history of the last one."""
         self._last, self.attempts = None, []
+        self.problem.forget()
 
     def plan(self, time: int, state: Initial | None, out: Sequence[str] = ()) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status.

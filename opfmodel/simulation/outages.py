@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import OUTAGES, PerUnitNetwork
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.plan import MultiStage
-from opfmodel.plan.outages import COSTS, STATUS, check_stated, lost_fields, status_at, without
+from opfmodel.plan.outages import COSTS, STATUS, check_whole, lost_fields, status_at, without
 from opfmodel.plan.security import Security, rating_after
 
 __all__ = ["Outage", "Outages"]
@@ -141,8 +141,9 @@ class Outages:
                         *at, "step",
                     )  # fmt: skip
                 taken[event.component, step] = number
-        for step in sorted({event.step for event in self.events}):
-            check_stated(self.out(step, length), problem.outages, problem.peak)
+        for number, event in enumerate(self.events):
+            out = self.out(event.step, length)
+            check_whole(out, problem.peak, f"outages in step {event.step}", "outages", number)
 
     def out(self, time: int, length: float) -> tuple[str, ...]:
         """Return the components that are out of service in a step."""
@@ -242,10 +243,11 @@ class Outages:
 
 def outages_of(events: Iterable[Outage], known: int | None, follows: bool, **response: Any) -> Outages:
     """Return outages, of which the controller knows at once if the plant follows its plan."""
-    made: Sequence[Any] = list(events) if isinstance(events, Iterable) else [events]
+    if isinstance(events, str) or not isinstance(events, Iterable):
+        raise ModelError(f"outages = {shown(events)}: must be a list of objects of class Outage")
     if known is None:
         known = 0 if follows else 1
-    found = Outages(tuple(made), known, **response)
+    found = Outages(tuple(events), known, **response)
     if follows and known != 0:
         raise IncompatibleError(
             f"known = {known}: the plant follows plans, which must know of an outage at once: known = 0; "

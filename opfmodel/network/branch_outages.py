@@ -20,8 +20,10 @@ Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
 
 _WITHIN = 1e-6  # p.u. and rad; a smaller excess is tolerance
+_SINGULAR = 1e-12
 _SOLVED = 1e-8  # p.u.; largest missing power of a solution
 _STEPS = 15  # most outages take five to eight
+_WIDE = 1e3  # p.u.; replaces an unlimited reserve
 _TOGETHER = 256  # outages at a time, which bounds the memory
 
 
@@ -162,15 +164,24 @@ class ACOutages:
         """Reactive power that the units of each bus add per p.u. of voltage that it falls, p.u."""
         if not self.reserve.droop:
             return np.zeros(len(self.network.bus))
-        able = np.maximum(np.minimum(self.reserve.q_up, self.reserve.q_down), 0.0)
+        able = np.clip(np.minimum(self.reserve.q_up, self.reserve.q_down), 0.0, _WIDE)
         return self._of_units(able) / self.reserve.droop
 
     @cached_property
     def _shares(self) -> sp.csr_array:
-        """Share of each bus in the slack of each island."""
+        """Share of each bus in the slack of each island; all of it at the reference if there is no unit."""
         bus, island = self.network.generator.bus, self.network.island
         shape = len(self.network.bus), self.network.n_islands
-        return sp.csr_array(sp.coo_array((self.reserve.share, (bus, island[bus])), shape))
+        alone = self.network.reference[self._without_units]
+        buses = np.concatenate([bus, alone])
+        share = np.concatenate([self.reserve.share, np.ones(alone.size)])
+        return sp.csr_array(sp.coo_array((share, (buses, island[buses])), shape))
+
+    @cached_property
+    def _without_units(self) -> Index:
+        """Islands without units, which can cover no slack."""
+        islands = np.arange(self.network.n_islands)
+        return np.setdiff1d(islands, self.network.island[self.network.generator.bus])
 
     @cached_property
     def _unknown(self) -> tuple[Index, Index]:
@@ -247,6 +258,8 @@ class ACOutages:
         moved = factors.solve(unit)[:, place.reshape(rows.shape)]  # (unknowns, outages, 4)
         here = moved[np.maximum(columns, 0)[:, :, None], k[:, None, None], np.arange(4)]
         correction = np.eye(4) + change @ here
+        singular = np.abs(np.linalg.det(correction)) < _SINGULAR
+        correction[singular] = np.eye(4)
         vm, va = (np.repeat(values[:, None], out.size, axis=1) for values in (self.vm, self.va))
         slack = np.zeros((self.network.n_islands, out.size))
         before = (self.vm * np.exp(1j * self.va))[:, None]
@@ -267,16 +280,13 @@ class ACOutages:
             rest[:, ~np.isfinite(largest)] = 0.0
             direct = factors.solve(-rest)
             there = np.where(own, direct[np.maximum(columns, 0), k[:, None]], 0.0)
-            try:
-                weight = np.linalg.solve(correction, change @ there[:, :, None])[:, :, 0]
-            except np.linalg.LinAlgError:
-                return np.zeros(out.size, dtype=bool)
+            weight = np.linalg.solve(correction, change @ there[:, :, None])[:, :, 0]
             direct -= np.einsum("nkr,kr->nk", moved, weight)
             va[angles] += direct[: angles.size]
             vm[magnitudes] += direct[angles.size : angles.size + magnitudes.size]
             slack += direct[angles.size + magnitudes.size :]
         within = self._within(out, v, vm, va, slack, power.imag - wanted.imag)
-        return np.asarray((largest <= _SOLVED) & within)
+        return np.asarray((largest <= _SOLVED) & within & ~singular)
 
     def _flows_of_lost(self, v: Complex, out: Index) -> tuple[Complex, Complex]:
         """Return the power into both ends of the branch that is lost in each outage."""
@@ -297,7 +307,13 @@ class ACOutages:
         up, down = (self._of_units(part)[self._at, None] for part in (reserve.q_up, reserve.q_down))
         reactive = np.maximum(added[self._at] - up, -added[self._at] - down)
         outside = np.vstack(
-            [voltage, active - reserve.up[:, None], -active - reserve.down[:, None], reactive]
+            [
+                voltage,
+                active - reserve.up[:, None],
+                -active - reserve.down[:, None],
+                reactive,
+                np.abs(slack[self._without_units]),
+            ]
         )
         return _within_branches(branch, flow, angle) & (outside <= _WITHIN).all(axis=0)
 
