@@ -42,7 +42,7 @@ SYSTEMS = {
     "PGLib 14": System("case14_ieee", 1.2),
     "PGLib 30": System("case30_as", 1.2),
     "PGLib 39": System("case39_epri", 1.2),
-    "PGLib 118": System("case118_ieee", 1.2),
+    "PGLib 118": System("case118_ieee", 1.2, preventive=False),
     "PGLib 118, 24 stages, storage": System("case118_ieee", 1.2, 24, storage=True, preventive=False),
     "IEEE 118 without ratings, 24 stages, storage": System("", 1.0, 24, storage=True, preventive=False),
 }
@@ -120,14 +120,26 @@ def assessed(name: str, response: str) -> dict[str, Any]:
     return {**again, "violated": first.get("violated"), "outages": first.get("outages"), "left_out": left_out}
 
 
+def ratings(system: System) -> str:
+    """The ratings after an outage, in words."""
+    branches = made(system)[0].of(om.Branch).values()
+    if all(branch.rating is None for branch in branches):
+        return "unlimited"
+    stated = any(branch.emergency_rating is not None for branch in branches)
+    return "of the file" if stated else f"x {system.rating:g}"
+
+
 def line(name: str, free: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> str:
     """A line of the table."""
     corrective = found["corrective"]
+    hopeless = [", ".join(corrective["left_out"])]
+    if more := set(found.get("preventive", {}).get("left_out", ())) - set(corrective["left_out"]):
+        hopeless.append(f"preventive: {', '.join(sorted(more))}")
     cells = [
-        f"x {SYSTEMS[name].rating:g}",
+        ratings(SYSTEMS[name]),
         f"{corrective['outages']:,}",
         f"{corrective['violated']:,}",
-        ", ".join(corrective["left_out"]),
+        "; ".join(filter(None, hopeless)),
     ]
     for response in ("corrective", "preventive"):
         each = found.get(response)

@@ -19,7 +19,6 @@ from opfmodel.plan.outages import free_rows, splitting
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import NOTHING, Security
-from solvers import Solution
 
 if TYPE_CHECKING:
     from opfmodel.network.arrays import PerUnitNetwork
@@ -135,7 +134,7 @@ class Responses:
         self.outages = security.outages(self.peak)
         self.problem = problem.contingency_problem(security, self.outages)
         self._known: dict[tuple[int, str], Array] = {}
-        self._any: Solution | None = None  # of the problem, for what the known ones have in common
+        self._last: dict[str, Plan] = {}  # of any stage; the next one starts from it
 
     def begin(self) -> None:
         """Begin with another request: nothing is known of its stages."""
@@ -184,33 +183,35 @@ class Responses:
         limits = dict(self._given(stage.state))
         plan = self._still(stage, out, request, limits)
         if plan is None:
-            plan = problem.solve_once(request, previous, limits=limits)
-            if plan.optimal and not plan.short:
-                self._known[stage.number, out] = plan.solution.x
-                self._any = plan.solution
+            plan = problem.solve_once(request, self._last.get(out, previous), limits=limits)
+            if plan.optimal:
+                self._last[out] = plan
+                if not plan.short:
+                    self._known[stage.number, out] = plan.solution.x
         return plan
 
     def _still(self, stage: Stage, out: str, request: Request, limits: Limits) -> Plan | None:
         """Return the response found for another dispatch of the stage; None if it is none to this one."""
         known, model = self._known.get((stage.number, out)), self.problem.model
-        if known is None or self._any is None:
+        if known is None:
             return None
+        last = self._last[out].solution
         instance, network = self.problem.pose(request, limits)
         given = np.clip(known, instance.lower, instance.upper)  # with the new dispatch of the stage
         x = given.copy()
         for name, state in model.states.items():
             if state.role == "stock":  # points before, between and after; it changes by as much as it did
-                _, between, after = self._any.program.variables[name].index.T
+                _, between, after = last.program.variables[name].index.T
                 x[after] += given[between] - known[between]
         x = np.clip(x, instance.lower, instance.upper)
-        solution = replace(self._any, instance=instance, x=x, iterations=0, seconds=0.0)
+        solution = replace(last, instance=instance, x=x, iterations=0, seconds=0.0)
         plan = Plan(self.problem, model, solution, network, request)
         return None if solution.primal_residual > _WITHIN or plan.short else plan
 
     def _outcome(self, stage: Stage, out: str, already: tuple[str, ...], central: Plan) -> Outcome:
         """Return what follows from an outage after a stage."""
         plan = self._response(stage, out, already, central)
-        worst = self._worst(plan) if plan.optimal else None
+        worst = self._worst(plan) if plan.optimal and plan.short else None
         status = "violated" if worst or plan.infeasible else "secure" if plan.optimal else "diverged"
         return Outcome(out, stage.scenario, stage.number, status, worst)
 
