@@ -150,9 +150,6 @@ class Model:
         if reactive:
             about = "cost of one more MVAr of demand"
             self.price("bus", "lmp_q", self._balance_price("q_balance"), "$/MVArh", about)
-        if horizon.contingencies.size:
-            about = "part of the cost of one more MW of demand that arises after outages"
-            self.price("bus", "security_price", self._security_price, "$/MWh", about)
         self._soften_balance()
 
     def connect(self, device: Device) -> None:
@@ -641,6 +638,11 @@ class Model:
             return self._with_contingencies(price)  # demand is the same in a node and after an outage
 
         return read
+
+    def price_security(self) -> None:
+        """Name the part of the ``lmp`` that arises in contingencies, which is zero if there are none."""
+        about = "part of the cost of one more MW of demand that arises after outages"
+        self.price("bus", "security_price", self._security_price, "$/MWh", about)
 
     def _security_price(self, solution: Solution, _: PerUnitNetwork) -> Array:
         price = -solution.dual("p_balance")[self.zones]

@@ -115,6 +115,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         for device in absent_devices(problem.arrays):
             model.connect(device)
     if problem.security is not None:
+        model.price_security()
         problem.security.hold(model)
     return model
 
