@@ -138,6 +138,36 @@ def test_a_secure_plan_may_split_more_than_once() -> None:
     assert plan.objective > solved(horizon, None, series=series).objective + 1.0
 
 
+@pytest.mark.parametrize("screen", [True, False])
+def test_the_five_bus_system_agrees_with_the_extensive_form(screen: bool) -> None:
+    made = om.load_scenario(CASE5, overrides={**SHORT, "time.steps": 4})
+    five = made.network
+    for name, branch in five.of(om.Branch).items():
+        if branch.rating is None:
+            five.update(name, rating=1000)
+    energy = dict.fromkeys(five.of(om.Storage), 100.0)
+    security = om.Security(rating=1.1, screen=screen)
+    costs = []
+    for own in (security, None):
+        problem = om.MultiStage(
+            five, 4, profiles=made.profiles, regularisation=0.0, security=own, options={"tol": 1e-10}
+        )
+        costs.append(problem.solve(initial={"e": list(energy.values())}).objective)
+    demand = [
+        {n: tuple(float(made.profiles[f"{n}.{key}"][k]) for key in "pq") for n in five.of(om.Load)}
+        for k in range(4)
+    ]
+    regular = [extensive.Node(k - 1, 1.0, 1.0, demand[k]) for k in range(4)]
+    after = [
+        extensive.Node(k, 0.25, 0.0, demand[k], out=name, rating=1.1)
+        for k in range(4)
+        for name in five.of(om.Branch)
+    ]
+    reference = extensive.solve(five, [*regular, *after], energy)
+    assert costs[0] == pytest.approx(reference["objective"], rel=1e-6)
+    assert costs[0] > costs[1] + 1.0
+
+
 @pytest.mark.parametrize("participation", [None, {"coal": 1.0, "gas": 3.0}])
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 def test_a_preventive_plan_agrees_with_the_extensive_form(
