@@ -19,10 +19,11 @@ from opfmodel.results.store import load, save
 
 FORMULATIONS = ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"]
 OUT = [("ab",), ("gas",), ("cell",), ("ab", "tank"), ("bc", "gas")]
+# Screening, which has tests of its own, compiles more than one problem for each plan.
 CORRECTIVE = om.Security(
-    {"branches": ["*"], "generators": ["oil"], "storages": ["cell"]}, minutes=30, rating=1.4
+    {"branches": ["*"], "generators": ["oil"], "storages": ["cell"]}, minutes=30, rating=1.4, screen=False
 )
-PREVENTIVE = om.Security({"branches": ["*"], "generators": ["oil"]}, "preventive", rating=1.5)
+PREVENTIVE = om.Security({"branches": ["*"], "generators": ["oil"]}, "preventive", rating=1.5, screen=False)
 
 
 def grid() -> om.Network:
@@ -108,7 +109,7 @@ def test_a_plan_starts_from_one_without_the_outage() -> None:
 
 
 def test_security_during_an_outage_covers_the_next_one() -> None:
-    security = replace(CORRECTIVE, rating=1.1)
+    security = replace(CORRECTIVE, rating=1.1, screen=True)
     free, secure = problem(["ab"]), problem(["ab"], security)
     plan, secured = free.solve(out=["ab"]), secure.solve(out=["ab"])
     assert secured.objective > plan.objective + 10

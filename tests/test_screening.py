@@ -30,8 +30,14 @@ def series_of(horizon: om.Horizon, most: float) -> list[om.Profiles]:
 
 
 @pytest.mark.parametrize("response", ["corrective", "preventive"])
-@pytest.mark.parametrize("formulation", ["ac", "ac-rectangular", "dc", "dc-matpower", "soc"])
-@pytest.mark.parametrize("which", HORIZONS)
+@pytest.mark.parametrize(
+    ("which", "formulation"),
+    [
+        *(("tree", each) for each in ("ac", "ac-rectangular", "dc", "dc-matpower", "soc")),
+        ("chain", "ac"),
+        ("uneven", "dc"),
+    ],
+)
 def test_a_screened_plan_is_that_of_all_contingencies(which: str, formulation: str, response: str) -> None:
     horizon, corrective = HORIZONS[which], response == "corrective"
     series = series_of(horizon, 1.1 if corrective else 1.02)

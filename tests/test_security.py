@@ -108,8 +108,7 @@ HORIZONS = {
 }
 
 
-@pytest.mark.parametrize("screen", [True, False])
-@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize(("delay", "screen"), [(0, True), (0, False), (1, True)])
 @pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
 @pytest.mark.parametrize("which", HORIZONS)
 def test_a_secure_plan_agrees_with_the_extensive_form(
