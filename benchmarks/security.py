@@ -81,7 +81,7 @@ def unsecured(name: str) -> dict[str, Any]:
 def secured(name: str, response: str, left_out: tuple[str, ...] = ()) -> dict[str, Any]:
     """Compile and solve a system with security; its time includes screening."""
     system = SYSTEMS[name]
-    everything = problem(system, om.Security(rating=system.rating)).responses.outages
+    everything = problem(system, om.Security(rating=system.rating)).screening.responses.outages
     outages: Any = {"branches": [out for out in everything if out not in left_out]} if left_out else "all"
     stated = problem(system, om.Security(outages, response, rating=system.rating))
     seconds, plan = timed(stated.solve)

@@ -10,9 +10,9 @@ import pytest
 from test_security import ENERGY, HORIZONS, TIGHT, demand, grid, solved
 
 import opfmodel as om
-from opfmodel.devices.held import divide
 from opfmodel.network.arrays import per_unit
 from opfmodel.network.branch_outages import ACOutages, DCOutages, Reserve
+from opfmodel.network.shares import divide
 from opfmodel.plan.response import Outcome, Responses, Worst, stages_of
 from opfmodel.plan.screening import worst_of
 
@@ -53,7 +53,8 @@ def test_a_screened_plan_is_that_of_all_contingencies(which: str, formulation: s
     }
     assert made[True].optimal, made[True].termination
     assert made[True].objective == pytest.approx(made[False].objective, rel=1e-6)
-    for name in ("lmp",) if formulation.startswith("dc") else ("pg", "ps", "lmp"):  # a DC optimum is no point
+    # the dispatch of a linear optimum need not be unique
+    for name in ("lmp",) if formulation.startswith("dc") else ("pg", "ps", "lmp"):
         ours, theirs = made[True].data[name].values, made[False].data[name].values
         assert ours == pytest.approx(theirs, abs=0.02)
     rounds = made[True].rounds
@@ -298,7 +299,7 @@ def test_droop_lets_voltages_follow_reactive_power() -> None:
     assert ACOutages(free, status, vm, va, loose).survived(out).all()
 
 
-@pytest.mark.parametrize("scale", [0.6, 1.0, 2.0])
+@pytest.mark.parametrize("scale", [0.75, 0.85])
 def test_dc_flows_after_outages_are_those_of_a_linear_solve(scale: float) -> None:
     rng = np.random.default_rng(3)
     network = om.read_network(PGLIB.format("case30_as"))
@@ -336,4 +337,4 @@ def test_dc_flows_after_outages_are_those_of_a_linear_solve(scale: float) -> Non
         low, high = branch.angle_min[:, 0], branch.angle_max[:, 0]
         good = (np.abs(flow) <= 0.3 * scale + 1e-6).all() and ((low <= across) & (across <= high)).all()
         assert passes == good
-    assert survived.any() == (scale > 0.6) or survived.any()
+    assert 0 < survived.sum() < survived.size

@@ -10,10 +10,9 @@ import numpy.typing as npt
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from opfmodel.network.components import Generator, Storage
+from opfmodel.network.shares import WIDE, divide
 
-__all__ = ["WIDE", "HeldGenerators", "HeldStorages", "divide", "without_limits"]
-
-WIDE = 1e3  # p.u.; replaces an infinite range
+__all__ = ["HeldGenerators", "HeldStorages", "without_limits"]
 
 
 class HeldGenerators(Device):
@@ -83,13 +82,6 @@ def _left(model: Model, what: str, shares: Array, group: Index) -> Any:
     if not model.outages & set(model.network.generator.names):
         return shares
     return model.of_fields("generator", f"{what} share", left)
-
-
-def divide(weights: Array, group: Index) -> Array:
-    """Return weights normalised within each group, equal ones if their sum is zero."""
-    sums = np.bincount(group, weights)[group]
-    equal = 1.0 / np.bincount(group)[group]
-    return np.asarray(np.where(sums > 0, weights / np.where(sums > 0, sums, 1.0), equal))
 
 
 def without_limits(network: PerUnitNetwork) -> dict[tuple[str, str], Array]:

@@ -11,11 +11,12 @@ import numpy.typing as npt
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
+from opfmodel.network.physics import Admittance, branch_flow, polar_products
+from opfmodel.network.shares import WIDE
 
 __all__ = ["ACOutages", "DCOutages", "Reserve"]
 
-Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
 
@@ -23,7 +24,6 @@ _WITHIN = 1e-6  # p.u. and rad; a smaller excess is tolerance
 _SINGULAR = 1e-12
 _SOLVED = 1e-8  # p.u.; largest missing power of a solution
 _STEPS = 15  # most outages take five to eight
-_WIDE = 1e3  # p.u.; replaces an unlimited reserve
 _TOGETHER = 256  # outages at a time, which bounds the memory
 
 
@@ -127,11 +127,10 @@ class ACOutages:
     ) -> None:
         self.network, self.reserve = network, reserve
         self.vm, self.va = vm, va
-        admittance = network.admittance[:, 0] * status
-        self._ports = tuple(
-            getattr(admittance, f"g_{ends}") + 1j * getattr(admittance, f"b_{ends}")
-            for ends in ("ff", "ft", "tf", "tt")
-        )
+        self._admittance = y = network.admittance[:, 0] * status
+        self._ports = (
+            y.g_ff + 1j * y.b_ff, y.g_ft + 1j * y.b_ft, y.g_tf + 1j * y.b_tf, y.g_tt + 1j * y.b_tt
+        )  # fmt: skip
         self._at = np.unique(network.generator.bus)
 
     def survived(self, out: Index) -> Mask:
@@ -164,7 +163,7 @@ class ACOutages:
         """Reactive power that the units of each bus add per p.u. of voltage that it falls, p.u."""
         if not self.reserve.droop:
             return np.zeros(len(self.network.bus))
-        able = np.clip(np.minimum(self.reserve.q_up, self.reserve.q_down), 0.0, _WIDE)
+        able = np.clip(np.minimum(self.reserve.q_up, self.reserve.q_down), 0.0, WIDE)
         return self._of_units(able) / self.reserve.droop
 
     @cached_property
@@ -224,11 +223,22 @@ class ACOutages:
         rows = np.stack([f, t, reactive[f], reactive[t]], axis=1)
         return rows, np.stack([by_angle[f], by_angle[t], by_magnitude[f], by_magnitude[t]], axis=1)
 
-    def _flows(self, v: Complex, of: Index | slice) -> tuple[Complex, Complex]:
-        """Return the power into both ends of branches at voltages ``(buses, outages)``."""
-        ff, ft, tf, tt = (port[of, None] for port in self._ports)
-        v_f, v_t = v[self.network.branch.from_bus[of]], v[self.network.branch.to_bus[of]]
-        return v_f * (ff * v_f + ft * v_t).conj(), v_t * (tf * v_f + tt * v_t).conj()
+    def _flows(self, vm: Array, va: Array, lost: Index | None = None) -> tuple[Complex, Complex]:
+        """Return the power into both ends of all branches, or of the one that is lost in each outage.
+
+        Parameters
+        ----------
+        vm, va
+            Voltages ``(buses, outages)``.
+        """
+        f, t = self.network.branch.from_bus, self.network.branch.to_bus
+        y: Admittance = self._admittance[:, None]
+        which: Index | slice = slice(None)
+        if lost is not None:
+            f, t, y, which = f[lost], t[lost], self._admittance[lost], np.arange(lost.size)
+        products = polar_products(vm[f, which], vm[t, which], va[f, which] - va[t, which])
+        pf, qf, pt, qt = branch_flow(y, *products)
+        return pf + 1j * qf, pt + 1j * qt
 
     def _change(self, out: Index) -> Array:
         """Return the change of the Jacobian by the outage of each branch, ``(outages, 4, 4)``."""
@@ -268,7 +278,7 @@ class ACOutages:
         for step in range(_STEPS + 1):
             v = vm * np.exp(1j * va)
             power = v * (self._matrix @ v).conj()
-            lost = self._flows_of_lost(v, out)
+            lost = self._flows(vm, va, out)
             np.subtract.at(power, (branch.from_bus[out], k), lost[0])
             np.subtract.at(power, (branch.to_bus[out], k), lost[1])
             missing = power - wanted + 1j * self._support[:, None] * (vm - self.vm[:, None])
@@ -285,21 +295,14 @@ class ACOutages:
             va[angles] += direct[: angles.size]
             vm[magnitudes] += direct[angles.size : angles.size + magnitudes.size]
             slack += direct[angles.size + magnitudes.size :]
-        within = self._within(out, v, vm, va, slack, power.imag - wanted.imag)
+        within = self._within(out, vm, va, slack, power.imag - wanted.imag)
         return np.asarray((largest <= _SOLVED) & within & ~singular)
 
-    def _flows_of_lost(self, v: Complex, out: Index) -> tuple[Complex, Complex]:
-        """Return the power into both ends of the branch that is lost in each outage."""
-        ff, ft, tf, tt = (port[out] for port in self._ports)
-        k = np.arange(out.size)
-        v_f, v_t = v[self.network.branch.from_bus[out], k], v[self.network.branch.to_bus[out], k]
-        return v_f * (ff * v_f + ft * v_t).conj(), v_t * (tf * v_f + tt * v_t).conj()
-
-    def _within(self, out: Index, v: Complex, vm: Array, va: Array, slack: Array, added: Array) -> Mask:
+    def _within(self, out: Index, vm: Array, va: Array, slack: Array, added: Array) -> Mask:
         """Return for which outages the solution is within the limits."""
         network, reserve, k = self.network, self.reserve, np.arange(out.size)
         bus, branch = network.bus, network.branch
-        flow = np.maximum(*map(np.abs, self._flows(v, slice(None))))
+        flow = np.maximum(*map(np.abs, self._flows(vm, va)))
         angle = va[branch.from_bus] - va[branch.to_bus]
         flow[out, k] = angle[out, k] = 0.0
         voltage = np.maximum(vm - bus.vm_max, bus.vm_min - vm)[self._unknown[1]]

@@ -36,10 +36,9 @@ from opfmodel.plan.nodes import over_nodes
 from opfmodel.plan.outages import check_declared, check_stated
 from opfmodel.plan.parts import make_devices, make_formulation
 from opfmodel.plan.request import Initial, Limits, Request
-from opfmodel.plan.response import Responses
 from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
-from opfmodel.plan.screening import screened
+from opfmodel.plan.screening import Contingency, Screening
 from opfmodel.plan.security import NOTHING, Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
 from opfmodel.plan.solving import posed, solved
@@ -50,7 +49,6 @@ __all__ = ["Initial", "MultiStage"]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
-Contingency = tuple[int, tuple[str, ...]]  # a stage, and the components that go out after it
 
 # What a program is compiled from; the constraints are added by a method.
 _STATED = frozenset(
@@ -206,7 +204,6 @@ class MultiStage:
         self.verbose = verbose
         self.constraints: dict[str, CustomConstraint] = {}
         self.rationed, self.split_shedding = False, False
-        self.included: tuple[Contingency, ...] = ()
         self._family = object()  # shared with the variants, which are copies
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -274,11 +271,15 @@ class MultiStage:
         names = security.outages(self.peak)
         if security.screen:
             return
-        nodes = range(len(self.horizon))
-        after = [(node, (name,)) for node in nodes for name in names]
-        self.horizon = self.horizon.with_contingencies(after, security.response_minutes)
-        states = problem_bytes(self.arrays.n_components, len(self.horizon), self.formulation.reactive)
-        check_memory(f"security: {len(self.horizon):,} stages and contingencies", states)
+        after = [(node, (name,)) for node in range(len(self.horizon)) for name in names]
+        self.horizon = self._with_contingencies(security, after)
+
+    def _with_contingencies(self, security: Security, after: Iterable[Contingency]) -> Horizon:
+        """Return the horizon with contingencies, if the problem then fits in memory."""
+        made = self.horizon.with_contingencies(after, security.response_minutes)
+        states = problem_bytes(self.arrays.n_components, len(made), self.formulation.reactive)
+        check_memory(f"security: {len(made):,} stages and contingencies", states)
+        return made
 
     @property
     def peak(self) -> PerUnitNetwork:
@@ -400,40 +401,30 @@ class MultiStage:
         alone.outages = tuple(dict.fromkeys([*self.outages, *outages, NOTHING]))
         return alone
 
-    def with_security(self, security: Security | None) -> MultiStage:
-        """Return the same problem with other outages to survive, or none."""
+    def with_security(
+        self, security: Security | None, after: Iterable[Contingency] | None = None
+    ) -> MultiStage:
+        """Return the same problem with other outages to survive, or none.
+
+        Parameters
+        ----------
+        after
+            The contingencies to include, without screening: a stage and what goes out after it.
+        """
         made = self.variant(elastic=self.elastic, horizon=self.horizon.regular)
-        made.security, made.included = security, ()
-        if security is not None:
+        made.security = security
+        if security is not None and after is not None:
+            made.security = replace(security, screen=False)
+            made.horizon = made._with_contingencies(security, after)
+        elif security is not None:
             made._check_secured(made.elastic)
             made._secure(security)
         return made
 
-    def include(self, contingencies: Iterable[Contingency]) -> None:
-        """Include contingencies, which screening has found, in what is solved from now on."""
-        self.included = (*self.included, *contingencies)
-        vars(self).pop("secured", None)
-
-    def forget(self) -> None:
-        """Include no contingencies, as before the first solve."""
-        self.included = ()
-        vars(self).pop("secured", None)
-
     @cached_property
-    def responses(self) -> Responses:
-        """What follows from the outages that plans must survive."""
-        assert self.security is not None
-        return Responses(self, self.security)
-
-    @cached_property
-    def secured(self) -> MultiStage:
-        """The problem with the contingencies that screening has included so far."""
-        if self.security is None or not self.included:
-            return self
-        horizon = self.horizon.with_contingencies(self.included, self.security.response_minutes)
-        made = self.variant(elastic=self.elastic, horizon=horizon)
-        made.security = replace(self.security, screen=False)
-        return made
+    def screening(self) -> Screening:
+        """The contingencies that plans of this problem include, and what is tested for the others."""
+        return Screening(self)
 
     def is_variant_of(self, other: MultiStage) -> bool:
         """Return whether this is the other problem, or a :meth:`variant` of the same one."""
@@ -655,7 +646,7 @@ class MultiStage:
             are :attr:`Elastic.traded`.
         """
         nodes = self.horizon if horizon is None else horizon
-        gone = () if isinstance(out, tuple) and not out else check_stated(out, self.outages, self.peak)
+        gone = check_stated(out, self.outages, self.peak) if out != () else ()
         request = Request(time, initial, self.end if end is None else end, expected, nodes, gone)
         return self.solve_requested(request, previous, multipliers)
 
@@ -664,7 +655,7 @@ class MultiStage:
     ) -> Plan:
         """Solve for a request; see :meth:`solve`."""
         if self.security is not None and self.security.screen:
-            return screened(self, request, previous, multipliers)
+            return self.screening.solve(request, previous, multipliers)
         return self.solve_included(request, previous, multipliers)
 
     def solve_included(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:

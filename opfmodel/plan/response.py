@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.devices.held import WIDE, divide
 from opfmodel.errors import ModelError
 from opfmodel.model.elastic import shortages
 from opfmodel.network.branch_outages import ACOutages, DCOutages, Reserve
 from opfmodel.network.components import BUILT_IN
+from opfmodel.network.shares import WIDE, divide
 from opfmodel.plan.end import End
 from opfmodel.plan.outages import free_rows, splitting
 from opfmodel.plan.request import Limits, Request

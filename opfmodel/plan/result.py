@@ -76,7 +76,9 @@ class Plan:
 
     def with_solution(self, problem: MultiStage, solution: Solution) -> Plan:
         """Return the same plan with another record of its solution, as the plan of another problem."""
-        return Plan(problem, self.model, solution, self.whole, self.request)
+        made = Plan(problem, self.model, solution, self.whole, self.request)
+        made.rounds = self.rounds
+        return made
 
     @property
     def time(self) -> int:

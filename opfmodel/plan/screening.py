@@ -7,15 +7,18 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from opfmodel.horizon import Horizon
 from opfmodel.plan.request import Request
-from opfmodel.plan.response import Outcome, stages_of
+from opfmodel.plan.response import Outcome, Responses, stages_of
 from opfmodel.plan.result import Plan
 from solvers import SolutionStatus
 
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
-__all__ = ["Round", "screened", "worst_of"]
+__all__ = ["Contingency", "Round", "Screening", "worst_of"]
+
+Contingency = tuple[int, tuple[str, ...]]  # a stage, and the components that go out after it
 
 
 class Round(NamedTuple):
@@ -46,56 +49,83 @@ class Round(NamedTuple):
         return {**self._asdict(), "violated": violated, "added": named}
 
 
-def screened(problem: MultiStage, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
-    """Return the plan that survives every contingency, from problems that include few of them.
+class Screening:
+    """The secure plans of a problem, each from problems that include few contingencies.
 
-    A plan without contingencies is solved, and every contingency tested. Of those that it does not survive,
-    the one that exceeds a limit of a component most is included, for every such component and stage, and
-    the problem is solved again, until all are survived. What was included stays so in later plans.
+    A problem is solved, and every contingency that it does not include is tested. Of those that the plan does
+    not survive, the one that exceeds a limit of a component most is included, for every such component and
+    stage, and the problem is solved again, until all are survived. What was included stays so in later plans.
 
     Parameters
     ----------
-    previous
-        An earlier plan to start from, with its multipliers or without.
+    problem
+        The problem without contingencies.
     """
-    security = problem.security
-    assert security is not None
-    responses, rounds, solved = problem.responses, list[Round](), list[Plan]()
-    responses.begin()
-    possible = responses.possible(request.out)
-    while True:
-        secured, horizon = problem.secured, request.horizon
-        if horizon is problem.horizon:
-            horizon = secured.horizon
-        elif problem.included:
-            horizon = horizon.with_contingencies(problem.included, security.response_minutes)
-        asked = replace(request, horizon=horizon)
-        plan = secured.solve_included(asked, previous, multipliers)
-        solved.append(plan)
-        if rounds and plan.solution.status is SolutionStatus.NONE:  # from a start of our own making
-            plan = secured.solve_included(asked, None, multipliers)
+
+    def __init__(self, problem: MultiStage) -> None:
+        assert problem.security is not None
+        self.plain, self.security = problem, problem.security
+        self.responses = Responses(problem, problem.security)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with no contingencies included."""
+        self.included: tuple[Contingency, ...] = ()
+        self.problem = self.plain
+
+    def include(self, contingencies: Iterable[Contingency]) -> None:
+        """Include more contingencies in the problem."""
+        self.included = (*self.included, *contingencies)
+        self.problem = self.plain.with_security(self.security, self.included)
+
+    def solve(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
+        """Return the plan that survives every contingency.
+
+        Parameters
+        ----------
+        previous
+            An earlier plan to start from, with its multipliers or without.
+        """
+        rounds: list[Round] = []
+        solved: list[Plan] = []
+        self.responses.begin()
+        while True:
+            asked = replace(request, horizon=self._horizon(request))
+            plan = self.problem.solve_included(asked, previous, multipliers)
             solved.append(plan)
-        began = clock.perf_counter()
-        violated = None
-        if plan.optimal:
-            included = set(problem.included)
-            violated = tuple(
-                outcome
-                for stage in stages_of(plan)
-                for outcome in responses.outcomes(
-                    stage, [out for out in possible if (stage.number, (out,)) not in included], request.out
-                )
-                if outcome.status != "secure"
+            if rounds and plan.solution.status is SolutionStatus.NONE:  # from a start of our own making
+                plan = self.problem.solve_included(asked, None, multipliers)
+                solved.append(plan)
+            began = clock.perf_counter()
+            violated = self._violated(plan) if plan.optimal else None
+            added = worst_of(violated or ())
+            seconds = clock.perf_counter() - began
+            rounds.append(Round(len(self.included), violated, added, plan.solution.iterations, seconds))
+            if not added:
+                break
+            self.include((outcome.stage, (outcome.out,)) for outcome in added)
+            previous, multipliers = plan, True
+        self.responses.begin()
+        return _with_rounds(plan, solved, rounds)
+
+    def _horizon(self, request: Request) -> Horizon:
+        """Return the horizon of a request with the contingencies that are included."""
+        if request.horizon is self.plain.horizon:
+            return self.problem.horizon
+        return request.horizon.with_contingencies(self.included, self.security.response_minutes)
+
+    def _violated(self, plan: Plan) -> tuple[Outcome, ...]:
+        """Return what follows from the contingencies that a plan neither includes nor survives."""
+        out, included = plan.request.out, set(self.included)
+        possible = self.responses.possible(out)
+        outcomes = (
+            outcome
+            for stage in stages_of(plan)
+            for outcome in self.responses.outcomes(
+                stage, [name for name in possible if (stage.number, (name,)) not in included], out
             )
-        added = worst_of(violated or ())
-        seconds = clock.perf_counter() - began
-        rounds.append(Round(len(problem.included), violated, added, plan.solution.iterations, seconds))
-        if not added:
-            break
-        problem.include((outcome.stage, (outcome.out,)) for outcome in added)
-        previous, multipliers = plan, True
-    responses.begin()
-    return _with_rounds(plan, solved, rounds)
+        )
+        return tuple(outcome for outcome in outcomes if outcome.status != "secure")
 
 
 def worst_of(violated: Iterable[Outcome]) -> tuple[Outcome, ...]:

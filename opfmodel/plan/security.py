@@ -9,7 +9,6 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.devices.held import divide
 from opfmodel.errors import SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
@@ -17,6 +16,7 @@ from opfmodel.model.declared import Bound
 from opfmodel.network.arrays import Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.network import name_pattern
+from opfmodel.network.shares import divide
 from opfmodel.plan.outages import splitting
 from opfmodel.plan.set_points import participation_of
 from solvers import Expression
@@ -69,7 +69,7 @@ class Security:
         Multiple of the rating of a branch that applies after an outage, if it has no emergency rating.
     screen
         Whether problems include only the contingencies that a plan without them does not survive; see
-        :func:`opfmodel.plan.screening.screened`. Else they include all of them from the start.
+        :class:`opfmodel.plan.screening.Screening`. Else they include all of them from the start.
     """
 
     contingencies: Literal["all"] | Mapping[str, Sequence[str]] = "all"
@@ -223,7 +223,7 @@ class Security:
 
 
 def _left(table: Table) -> npt.NDArray[np.bool_]:
-    """Return which components are in service and, if they are generators, able to move, in each node."""
+    """Return which components are in service and, if active power is limited, can change it, by node."""
     status = table.arrays.get("status", np.ones((len(table), 1))) > 0
     return status & (table.p_min < table.p_max) if "p_min" in table.arrays else status
 

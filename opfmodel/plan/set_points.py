@@ -11,10 +11,10 @@ import numpy.typing as npt
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from opfmodel.devices.held import WIDE, divide
 from opfmodel.errors import ModelError, nearest
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
+from opfmodel.network.shares import WIDE, divide
 
 __all__ = ["Held", "held", "slack_shares"]
 

@@ -105,7 +105,8 @@ class Controller:
     def begin(self) -> None:
         """Start a run and discard the history of the last one."""
         self._last, self.attempts = None, []
-        self.problem.forget()
+        if self.problem.security is not None and self.problem.security.screen:
+            self.problem.screening.begin()
 
     def plan(self, time: int, state: Initial | None, out: Sequence[str] = ()) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status.

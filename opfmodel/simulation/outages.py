@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -225,7 +225,7 @@ class Outages:
             "outages_known": ("", "1 if the controller knew of all outages, else 0"),
         }
 
-    def resumed(self, problem: MultiStage, time: int, state: dict[str, Array] | Any) -> dict[str, Array]:
+    def resumed(self, problem: MultiStage, time: int, state: Mapping[str, Array]) -> dict[str, Array]:
         """Return the state after a step, in which units that return are within their limits."""
         made = dict(state)
         lost = set(self.out(time, problem.step)) - set(self.told(time + 1, problem.step))

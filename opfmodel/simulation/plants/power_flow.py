@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from opfmodel.devices.held import WIDE, HeldGenerators, HeldStorages, divide, without_limits
+from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Generator, Load, Storage
+from opfmodel.network.shares import WIDE, divide
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
 from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points
