@@ -5,6 +5,7 @@ State a problem with :class:`ProgramBuilder`, freeze it into a :class:`Program`,
 """
 
 from solvers.assembly import Assembly, Evaluator
+from solvers.bound import dual_bound
 from solvers.builder import ProgramBuilder, Rows
 from solvers.errors import (
     ProgramError,
@@ -69,6 +70,7 @@ __all__ = [
     "broken_back_ends",
     "classify",
     "curvature_varies",
+    "dual_bound",
     "find",
     "installed",
     "largest",

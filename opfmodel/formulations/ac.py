@@ -35,6 +35,7 @@ class AC(Formulation):
     reactive = True
     publishes = ("vm", "va", "pf", "qf", "pt", "qt")
     physics = "ac"
+    relaxed_by = "soc"
 
     def declare(self, model: Model) -> None:
         """Declare ``vm``, ``va`` and the branch flows."""

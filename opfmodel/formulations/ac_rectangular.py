@@ -35,6 +35,7 @@ class ACRectangular(Formulation):
     reactive = True
     publishes = ("vm", "va", "pf", "qf", "pt", "qt")
     physics = "ac"
+    relaxed_by = "soc"
 
     def declare(self, model: Model) -> None:
         """Declare ``vr``, ``vi`` and the branch flows; publish ``vm`` and ``va``."""

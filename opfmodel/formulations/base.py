@@ -49,6 +49,9 @@ class Formulation:
         ``ac`` or ``dc`` if flows are those of :mod:`opfmodel.network.branch_outages`, which then tests many
         outages at once; ``dc`` needs a method ``flow``, see :class:`opfmodel.formulations.dc.DC`. By
         default they are not known, and every outage is tested by its own problem.
+    relaxed_by
+        Name of a convex formulation that admits every state that this one admits, so that its optimum is a
+        lower bound; see :func:`opfmodel.certify`. By default none is known.
     """
 
     name: ClassVar[str]
@@ -56,6 +59,7 @@ class Formulation:
     publishes: ClassVar[tuple[str, ...]]
     slack_losses: ClassVar[bool] = False
     physics: ClassVar[Literal["ac", "dc"] | None] = None
+    relaxed_by: ClassVar[str | None] = None
 
     def zones(self, network: PerUnitNetwork) -> npt.NDArray[np.intp]:
         """Return the balance row of each bus; by default one per bus."""

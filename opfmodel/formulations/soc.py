@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
@@ -46,6 +47,7 @@ class SOC(Formulation):
     name = "soc"
     reactive = True
     publishes = ("w", "pf", "qf", "pt", "qt")
+    relaxed_by = "soc"
 
     def declare(self, model: Model) -> None:
         """Declare ``w`` and the voltage products of neighbours; report ``vm = sqrt(w)``."""
@@ -58,7 +60,7 @@ class SOC(Formulation):
         )  # fmt: skip
         model.report("bus", "vm", np.sqrt(w), unit="p.u.", description="square root of w")
         shunts(model, w)
-        n = _Neighbours.of(network)
+        n = _Neighbours.of(network, _loose(model))
         pairs = len(n.first)
         bounds = n.product_bounds(
             bus.vm_min[n.first] * bus.vm_min[n.second], bus.vm_max[n.first] * bus.vm_max[n.second]
@@ -123,7 +125,7 @@ class _Neighbours:
     pair, sign
         Pair of each branch, and 1 if it runs from first to second, -1 otherwise.
     low, high
-        Angle range of each pair, the tightest of parallel branches; within ±pi.
+        Angle range of each pair, the tightest of parallel branches; within ±pi. One column, or one per stage.
     """
 
     first: Index
@@ -134,16 +136,26 @@ class _Neighbours:
     high: Array
 
     @classmethod
-    def of(cls, network: PerUnitNetwork) -> _Neighbours:
-        """Return the neighbours of a network."""
+    def of(cls, network: PerUnitNetwork, loose: npt.NDArray[np.bool_]) -> _Neighbours:
+        """Return the neighbours of a network.
+
+        Parameters
+        ----------
+        loose
+            Which branches limit no angle, ``(branches, 1)`` or ``(branches, stages)``.
+        """
         branch = network.branch
         ends = np.column_stack([branch.from_bus, branch.to_bus])
         pairs, pair = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
         pair = pair.ravel()
         along = (ends[:, 0] <= ends[:, 1])[:, None]
-        low, high = np.full((len(pairs), 1), -np.pi), np.full((len(pairs), 1), np.pi)
-        np.maximum.at(low, pair, np.where(along, branch.angle_min, -branch.angle_max))
-        np.minimum.at(high, pair, np.where(along, branch.angle_max, -branch.angle_min))
+        loose = loose | (branch.angle_min < -np.pi) | (branch.angle_max > np.pi)  # beyond it angles repeat
+        shape = len(pairs), loose.shape[1]
+        low, high = np.full(shape, -np.pi), np.full(shape, np.pi)
+        least = np.where(loose, -np.inf, branch.angle_min)
+        most = np.where(loose, np.inf, branch.angle_max)
+        np.maximum.at(low, pair, np.where(along, least, -most))
+        np.minimum.at(high, pair, np.where(along, most, -least))
         return cls(pairs[:, 0], pairs[:, 1], pair, np.where(along, 1.0, -1.0), low, high)
 
     def product_bounds(self, least: Array, most: Array) -> tuple[Array, Array, Array, Array]:
@@ -166,6 +178,15 @@ class _Neighbours:
         return bounds[0], bounds[1], bounds[2], bounds[3]
 
 
+def _loose(model: Model) -> npt.NDArray[np.bool_]:
+    """Return which branches limit no angle in which stages, because they are or may be out of service."""
+    branch = model.network.branch
+    if ("branch", "status") not in model.series:
+        return np.zeros((len(branch), 1), dtype=bool)
+    declared = np.isin(branch.names, model.outages)[:, None]
+    return np.asarray((branch.status == 0.0) | declared)
+
+
 def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
     """Return the largest difference between branch angles and the bus angles that fit them best."""
     branch, n = network.branch, len(network.bus)
@@ -184,14 +205,15 @@ def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
 
 
 def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi: Expression) -> None:
-    r"""Add the lifted nonlinear cuts of pairs whose angle range is less than 180 degrees.
+    r"""Add the lifted nonlinear cuts of pairs where their angle range is less than 180 degrees.
 
     With :math:`\phi` and :math:`\delta` the middle and half-width of the angle range and
     :math:`\sigma = v_{min} + v_{max}` at each end, they bound
     :math:`\sigma_i \sigma_j (w_r \cos\phi + w_i \sin\phi)` from below by planes in
     :math:`w_i, w_j` that touch the feasible set at the corners of the voltage box.
     """
-    members = np.flatnonzero(n.high - n.low < np.pi)
+    narrow = n.high - n.low < np.pi
+    members = np.flatnonzero(narrow.any(axis=1))
     if not members.size:
         return
     bus = model.network.bus
@@ -203,4 +225,5 @@ def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi
     spread = np.cos(delta) * (low_i * low_j - high_i * high_j)
     for name, at_i, at_j, sign in (("cut_high", high_i, high_j, 1.0), ("cut_low", low_i, low_j, -1.0)):
         plane = (at_j * np.cos(delta) * sum_j) * w[i] + (at_i * np.cos(delta) * sum_i) * w[j]
-        model.build.constrain(name, along - plane >= sign * at_i * at_j * spread)
+        least = np.where(narrow[members], sign * at_i * at_j * spread, -np.inf)
+        model.build.constrain(name, along - plane >= least)

@@ -60,6 +60,10 @@ _STATED = frozenset(
 )  # fmt: skip
 
 
+# Clarabel certifies infeasibility; with more passes some problems of many stages end without a result.
+_RELAXED = ("clarabel", {"equilibrate_max_iter": 1})
+
+
 class MultiStage:
     """An optimal power flow over several stages, compiled once and solved any number of times.
 
@@ -419,6 +423,23 @@ class MultiStage:
         elif security is not None:
             made._check_secured(made.elastic)
             made._secure(security)
+        return made
+
+    @cached_property
+    def relaxed_problem(self) -> MultiStage:
+        """The same problem in the formulation that relaxes its own, without regularisation.
+
+        Raises
+        ------
+        IncompatibleError
+            No formulation is known that relaxes it.
+        """
+        relaxing = self.formulation.relaxed_by
+        if relaxing is None:
+            raise IncompatibleError(f"formulation {self.formulation.name!r}: no relaxation of it is known")
+        made = self.variant(elastic=self.elastic)
+        made.formulation, made.regularisation = make_formulation(relaxing), 0.0
+        made.solver, made.options = _RELAXED
         return made
 
     @cached_property
