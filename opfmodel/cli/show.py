@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from opfmodel.cli.output import print_line, print_notes, print_pairs, print_table, remark
 
 if TYPE_CHECKING:
+    from opfmodel.analysis.bound import Certificate
     from opfmodel.check import Report
     from opfmodel.plan import Plan
     from opfmodel.plugins.catalogue import Entry
@@ -22,13 +23,21 @@ _TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
 _ELASTIC = "hint: --on-infeasible elastic reports which limits cannot be met, where and when"
 
 
-def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: bool) -> None:
+def plan(
+    solved: Plan,
+    report: Report | None,
+    diagnosis: list[str],
+    elastic: bool,
+    certificate: Certificate | None = None,
+) -> None:
     """Print the results of a plan, and the diagnosis of an infeasible problem.
 
     Parameters
     ----------
     elastic
         Whether the user asked for the diagnosis.
+    certificate
+        What is proven about the plan, if the user asked for it.
     """
     problem, solution = solved.problem, solved.solution
     size = solution.program
@@ -40,6 +49,7 @@ def plan(solved: Plan, report: Report | None, diagnosis: list[str], elastic: boo
         {
             "status": solved.status if solved.optimal else f"{solved.status}: {solved.termination}",
             "objective": f"{solved.objective:,.4f} {solved.network.currency}" if solved.optimal else "none",
+            **({} if certificate is None else _bounded(certificate)),
             "formulation": problem.formulation.name,
             "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
             "solver": f"{solution.solver}, {iterations}",
@@ -140,6 +150,18 @@ def _verified(report: Report) -> dict[str, str]:
     worst = report.worst
     place = f" ({worst.family} at {worst.component})" if worst is not None and worst.value > 0 else ""
     return {"max violation": f"{'none' if worst is None else worst}{place}", **_unchecked(report.unchecked)}
+
+
+def _bounded(certificate: Certificate) -> dict[str, str]:
+    """The lines on how far a plan is from a proven lower bound."""
+    known = certificate.as_dict()
+    by = f"{certificate.formulation}, {certificate.status}, {certificate.seconds:.3f} s"
+    lower, gap = known["lower"], known["gap"]
+    bound = "none" if lower is None else f"{lower:,.4f} {certificate.plan.network.currency}"
+    return {
+        "lower bound": f"{bound} ({by})",
+        "gap": "none" if gap is None else f"{round(100 * gap, 4) + 0.0:.4f} %",
+    }
 
 
 def _unchecked(what: Iterable[str]) -> dict[str, str]:

@@ -33,14 +33,20 @@ def solve(
     variant: VARIANT = None,
     set_: SET = None,
     on_infeasible: ON_INFEASIBLE = None,
+    bound: Annotated[
+        bool, typer.Option("--bound", help="Certify the plan: a lower bound on its cost from a relaxation.")
+    ] = False,
     json_: JSON = False,
     verbose: VERBOSE = False,
 ) -> int:
     """Solve one optimal power flow.
 
     A scenario is solved for the first plan of its controller, with a perfect forecast unless its futures are
-    drawn from its own.
+    drawn from its own. A bound comes from the relaxation of the same problem, whose optimum no plan undercuts;
+    if the relaxation is proven infeasible, so is the problem.
     """
+    from opfmodel.analysis.bound import certify, check_bounded
+
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
@@ -51,7 +57,12 @@ def solve(
         problem = controller.problem
         problem.verbose = verbose
         asked = controller.request(0)
+        if bound:
+            check_bounded(problem)
         plan = problem.solve(initial=initial, **asked)
+        certificate = certify(plan) if bound else None
+        if certificate is not None:
+            plan = certificate.plan
         diagnosed = plan
         if not plan.optimal and elastic:
             diagnosed = problem.elastic_twin(controller.elastic).solve(initial=initial, **asked)
@@ -65,6 +76,7 @@ def solve(
                 "objective": plan.objective if plan.optimal else None,
                 "expected_cost": plan.expected_cost if plan.optimal else None,
                 "scenario_costs": plan.scenario_costs if plan.optimal and controller.scenarios else {},
+                "bound": None if certificate is None else certificate.as_dict(),
                 "currency": problem.network.currency,
                 "build_seconds": problem.build_seconds,
                 "solve_seconds": plan.solution.seconds,
@@ -82,7 +94,7 @@ def solve(
             }
         )
     else:
-        show.plan(plan, report, diagnosis, elastic)
+        show.plan(plan, report, diagnosis, elastic, certificate)
     return 0 if plan.optimal else 1
 
 
