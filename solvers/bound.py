@@ -22,8 +22,8 @@ _REPAIRS = 2
 def dual_bound(solution: Solution) -> float:
     r"""Return a lower bound on the objective of a convex program: the value of its dual.
 
-    By convexity, and for any multipliers :math:`\lambda` of the rows and any :math:`z` in the dual cones, every
-    feasible x satisfies
+    By convexity, and for any multipliers :math:`\lambda` of the rows and any :math:`z` in the dual cones,
+    every feasible x satisfies
 
     .. math::
         f(x) \ge f(\bar x) - \nabla f(\bar x)' \bar x + \min_{l \le x \le u} r' x
@@ -31,8 +31,9 @@ def dual_bound(solution: Solution) -> float:
         r = \nabla f(\bar x) + A' \lambda - S' z
 
     so that the bound is valid up to rounding however inaccurate the solution is, which only loosens it:
-    dual residuals are charged to the bounds of the variables. For variables without bounds the multipliers are
-    first corrected until nothing is left but rounding.
+    dual residuals are charged to the bounds of the variables. For variables without bounds the multipliers
+    are corrected first, until nothing but rounding is left; what remains is charged to a thousand times the
+    value of the variable.
 
     Parameters
     ----------

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from opfmodel.errors import IncompatibleError, ModelError, shown
-from opfmodel.plan.result import Plan, status_word
 from opfmodel.network.units import scale
+from opfmodel.plan.result import Plan, status_word
 from solvers import SolutionStatus, TerminationCondition, UnsupportedProgramError, dual_bound
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Certificate:
     @property
     def exact(self) -> bool:
         """Whether the plan is proven to be globally optimal, to a relative gap of 1e-4."""
-        return self.gap <= _EXACT
+        return abs(self.gap) <= _EXACT
 
     def as_dict(self) -> dict[str, Any]:
         """Return the certificate as plain data, without the plan; null where a number is unknown."""

@@ -42,8 +42,8 @@ def solve(
     """Solve one optimal power flow.
 
     A scenario is solved for the first plan of its controller, with a perfect forecast unless its futures are
-    drawn from its own. A bound comes from the relaxation of the same problem, whose optimum no plan undercuts;
-    if the relaxation is proven infeasible, so is the problem.
+    drawn from its own. A bound is the optimum of a relaxation of the same problem; if that is proven
+    infeasible, so is the problem.
     """
     from opfmodel.analysis.bound import certify, check_bounded
 

@@ -183,7 +183,7 @@ def _loose(model: Model) -> npt.NDArray[np.bool_]:
     branch = model.network.branch
     if ("branch", "status") not in model.series:
         return np.zeros((len(branch), 1), dtype=bool)
-    declared = np.isin(branch.names, model.outages)[:, None]
+    declared = np.array([[name in model.outages] for name in branch.names], dtype=bool)
     return np.asarray((branch.status == 0.0) | declared)
 
 
@@ -226,4 +226,5 @@ def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi
     for name, at_i, at_j, sign in (("cut_high", high_i, high_j, 1.0), ("cut_low", low_i, low_j, -1.0)):
         plane = (at_j * np.cos(delta) * sum_j) * w[i] + (at_i * np.cos(delta) * sum_i) * w[j]
         least = np.where(narrow[members], sign * at_i * at_j * spread, -np.inf)
-        model.build.constrain(name, along - plane >= least)
+        rows = model.build.rows(name, members.size, model.stages, least, np.inf)
+        model.build.add(along - plane, into=rows)
