@@ -98,7 +98,7 @@ def certify(plan: Plan) -> Certificate:
     >>> grid.town = om.Load("south", p=90, q=30)
     >>> certificate = om.certify(om.MultiStage(grid).solve())
     >>> round(certificate.lower), certificate.exact
-    (1441, True)
+    (1446, True)
     """
     if not isinstance(plan, Plan):
         raise ModelError(f"plan = {shown(plan)}: must be a plan")
