@@ -100,7 +100,13 @@ def table(
 
 def plot(
     folder: Annotated[Path, typer.Argument(help="Results folder of a run.")],
-    bus: Annotated[list[str] | None, typer.Option(help="Bus to plot; repeatable.")] = None,
+    bus: Annotated[
+        list[str] | None,
+        typer.Option("--bus", "--buses", help="Bus to plot, or several with commas between; repeatable."),
+    ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="Draw all panels in one figure, with limits, as the paper does.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the figures; the run's by default.")] = None,
     json_: JSON = False,
 ) -> int:
@@ -108,10 +114,17 @@ def plot(
 
     Figures are saved as PDF and PNG.
     """
-    from opfmodel.results import load
+    from opfmodel.results import binding, load
+    from opfmodel.results.aggregates import named_buses
     from opfmodel.results.figures import save_figures
 
-    written = [str(path) for path in save_figures(load(folder), folder if out is None else out, bus)]
+    data = load(folder)
+    names = None if bus is None else named_buses(data, bus)
+    where = folder if out is None else out
+    drawn = save_figures(data, where, names, ["paper"]) if paper else save_figures(data, where, names)
+    written = [str(path) for path in drawn]
+    if paper and not set(binding(data)):
+        remark(f"{folder}: the results have no limits, which the figure lacks; repeat the run")
     if json_:
         print_json({"figures": written})
     else:

@@ -12,6 +12,7 @@ from opfmodel.data.calendar import Times
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.quantities import in_currency
 from opfmodel.network.units import scale
+from opfmodel.results.limits import limits
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,7 +43,9 @@ def dataset(
     Returns
     -------
     xarray.Dataset
-        Dimensions ``time`` and one per kind of component. Includes the demand ``pd``, ``qd`` of each bus.
+        Dimensions ``time`` and one per kind of component. Includes the demand ``pd``, ``qd`` of each bus,
+        and the limits of the quantities, as ``vm_min``, ``vm_max`` and ``pg_ramp``, over ``time`` only where
+        they vary.
     """
     import xarray as xr
 
@@ -63,6 +66,14 @@ def dataset(
         physical = values * scale(unit, network.base_mva)
         attributes = {"units": in_currency(unit, network.currency), "long_name": description}
         made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
+    for name, kind, unit, description, values in limits(network, quantities):
+        if name not in quantities:
+            physical = values * scale(unit, network.base_mva)
+            attributes = {"units": unit, "long_name": description}
+            varying = values.shape[1] > 1
+            made[name] = (
+                (("time", kind), physical.T, attributes) if varying else (kind, physical[:, 0], attributes)
+            )
     return made
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from opfmodel.data.calendar import zone_of
 from opfmodel.errors import ProfileError, ResultError, shown
+from opfmodel.results.limits import LIMITS, RAMPS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,6 +30,11 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("cost_rate", "outages_known"), ("time",)),
     "generator_bus": ("generator",),
     "storage_bus": ("storage",),
+}
+# Kind of the limits, which vary over time or are constant.
+_LIMITS = {
+    **{f"{name}_{end}": limit.kind for name, limit in LIMITS.items() for end in ("min", "max")},
+    **{f"{name}_ramp": kind for name, (kind, _, _) in RAMPS.items()},
 }
 _MEMBERSHIPS = ("generator_bus", "storage_bus")
 # What a quantity is shown with.
@@ -53,14 +59,20 @@ def check_trajectories(data: xr.Dataset) -> None:
                 data[name].dims == dimensions,
                 f"{name}: has the dimensions {shown(data[name].dims)}; must have {dimensions}",
             )
+    for name, kind in _LIMITS.items():
+        if name in data.variables:
+            _require(
+                data[name].dims in ((kind,), ("time", kind)),
+                f"{name}: has the dimensions {shown(data[name].dims)}; must have {(kind,)}, or also 'time'",
+            )
     for name in ("bus", *{str(dimension) for dimension in data.dims} - {"time", "bus"}):
         _check_names(data, name)
     for key, variable in data.variables.items():
         name = str(key)
         if name in _MEMBERSHIPS:
             _require(_is_text(variable.values), f"{name}: must be names of buses")
-        elif name in _DIMENSIONS or name.endswith(
-            "_p"
+        elif (
+            name in _DIMENSIONS or name in _LIMITS or name.endswith("_p")
         ):  # such as the injections of devices of other packages
             _require(variable.dtype.kind in "biuf", f"{name}: {variable.dtype}: must be numbers")
     rating = data.attrs.get("outage_rating", 1.0)

@@ -1,0 +1,149 @@
+"""Limits of the quantities in a dataset, and the stages in which they bind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.network.arrays import PerUnitNetwork, Table
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["LIMITS", "RAMPS", "binding", "limits"]
+
+Array = npt.NDArray[np.float64]
+
+# Distance from a limit below which it binds, relative to the range of the quantity and to its other limit
+# where that is infinite. Interior-point solvers stop short of a limit.
+_NEAR = 5e-4
+
+
+class Limit(NamedTuple):
+    """The limits of a quantity: its kind, unit and description, and how both limits are found."""
+
+    kind: str
+    unit: str
+    description: str
+    lower: Callable[[Table], Array]
+    upper: Callable[[Table], Array]
+
+
+LIMITS = {
+    "vm": Limit("bus", "p.u.", "voltage magnitude", lambda t: t.vm_min, lambda t: t.vm_max),
+    "pg": Limit("generator", "MW", "active generation", lambda t: t.p_min, lambda t: t.p_max),
+    "qg": Limit("generator", "MVAr", "reactive generation", lambda t: t.q_min, lambda t: t.q_max),
+    "ps": Limit(
+        "storage",
+        "MW",
+        "charging power",
+        lambda t: np.maximum(t.power_min, -t.rating),
+        lambda t: np.minimum(t.power_max, t.rating),
+    ),
+    "qs": Limit(
+        "storage",
+        "MVAr",
+        "reactive power drawn",
+        lambda t: np.maximum(t.q_min, -t.rating),
+        lambda t: np.minimum(t.q_max, t.rating),
+    ),
+    "e": Limit("storage", "MWh", "stored energy", lambda t: t.energy_min, lambda t: t.energy),
+}
+"""Quantities whose limits a dataset has as ``<quantity>_min`` and ``<quantity>_max``."""
+
+RAMPS = {"pg": ("generator", "MW/h", "active generation")}
+"""Quantities whose ramp limits a dataset has as ``<quantity>_ramp``."""
+
+
+def limits(network: PerUnitNetwork, quantities: Iterable[str]) -> Iterator[tuple[str, str, str, str, Array]]:
+    """Yield name, kind, unit, description and per-unit values of the limits of some quantities.
+
+    The values have shape ``(items, 1)`` if they are constant, otherwise ``(items, stages)``. Without
+    a limit, they are infinite.
+    """
+    present = set(quantities)
+    for quantity, limit in LIMITS.items():
+        if quantity in present:
+            table = network.tables[limit.kind]
+            yield (
+                f"{quantity}_min",
+                limit.kind,
+                limit.unit,
+                f"minimum {limit.description}",
+                limit.lower(table),
+            )
+            yield (
+                f"{quantity}_max",
+                limit.kind,
+                limit.unit,
+                f"maximum {limit.description}",
+                limit.upper(table),
+            )
+    for quantity, (kind, unit, description) in RAMPS.items():
+        if quantity in present:
+            yield f"{quantity}_ramp", kind, unit, f"ramp limit of {description}", network.tables[kind].ramp
+
+
+def binding(data: xr.Dataset) -> xr.Dataset:
+    """Return where limits bind: 1 at the upper limit, -1 at the lower one, 0 elsewhere.
+
+    A limit binds if the quantity is closer to it than 0.05 % of its range, or beyond it.
+
+    Returns
+    -------
+    xarray.Dataset
+        Integers by the name of the quantity, with its dimensions: ``vm``, ``pg``, ``qg``, ``ps``, ``qs``,
+        and ``e`` at the end of each stage. ``pg_ramp`` is 1 where generation rises from the stage before by
+        as much as its ramp limit permits, and -1 where it falls by as much. Quantities that are fixed
+        are at no limit, nor are components while they are out of service. A quantity whose limits
+        are not in the data is absent.
+    """
+    made = data[[]]
+    for quantity, limit in LIMITS.items():
+        names = ("e_next" if quantity == "e" else quantity, f"{quantity}_min", f"{quantity}_max")
+        if set(names) <= set(data):
+            values, low, high = (data[name].values for name in names)
+            there = _in_service(data, limit.kind)
+            made[quantity] = data[names[0]].drop_attrs().copy(data=_side(values, low, high, there))
+    for quantity, (kind, _, _) in RAMPS.items():
+        if {quantity, f"{quantity}_ramp"} <= set(data):
+            before, hours = _before(data)
+            change = data[quantity].values - data[quantity].values[before]
+            most = data[f"{quantity}_ramp"].values * hours[:, None]
+            there = _in_service(data, kind)
+            # the stage before the first is unknown; a unit that trips or returns does not ramp
+            there = there & there[before] & (before != np.arange(before.size))[:, None]
+            made[f"{quantity}_ramp"] = (
+                data[quantity].drop_attrs().copy(data=_side(change, -most, most, there))
+            )
+    return made
+
+
+def _side(values: Array, low: Array, high: Array, free: npt.NDArray[np.bool_]) -> npt.NDArray[np.int8]:
+    """Return which limit the values are at, with tolerance."""
+    ends = np.abs(np.stack(np.broadcast_arrays(low, high)))
+    with np.errstate(invalid="ignore"):  # infinite on both sides
+        span = np.where(np.isfinite(high - low), high - low, ends.min(axis=0))
+        near = _NEAR * np.where(np.isfinite(span), span, 0.0)
+        there = free & (high > low)
+        return ((values >= high - near) & there).astype(np.int8) - ((values <= low + near) & there)
+
+
+def _in_service(data: xr.Dataset, kind: str) -> npt.NDArray[np.bool_]:
+    """Return which components of a kind are in service, ``(stages, items)``."""
+    if f"{kind}_status" in data:
+        return np.asarray(data[f"{kind}_status"].values > 0)
+    return np.ones((data.sizes["node" if "node" in data.dims else "time"], 1), dtype=bool)
+
+
+def _before(data: xr.Dataset) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the stage before each, or itself without one, and the hours between their middles."""
+    stages = data.sizes["node" if "node" in data.dims else "time"]
+    before = data["parent"].values if "parent" in data.coords else np.arange(stages) - 1
+    before = np.where(before < 0, np.arange(stages), before)
+    step = float(data.attrs.get("step_hours", 1.0))
+    hours = data["hours"].values if "hours" in data.coords else np.full(stages, step)
+    return before, 0.5 * (hours + hours[before])
