@@ -1,6 +1,6 @@
 """Costs for the four systems of Faulwasser and Engelmann, compared with the paper's Table 1.
 
-python -m benchmarks.paper writes docs/paper-table.md.
+python -m benchmarks.paper writes docs/paper-table.md with the figures of the economic closed loops.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
+from benchmarks.paper_figures import section
 from opfmodel.study.comparison import Comparison, compare, markdown
 
 ROOT = Path(__file__).parent.parent
@@ -49,6 +50,27 @@ An independent program, `tests/data/paper/reference.py`, shares no code with opf
 equations in rectangular voltage coordinates. For the two step systems it finds, in thousands of $:
 {reference}.
 
+## Figures
+
+The paper shows the closed loop of each system in one figure, in its section "Simulation Examples".
+`opfmodel plot DIR --paper` draws the same panels from the results of any scenario:
+
+- (a) Inputs, outputs and states at the buses: `pg`, `ps`, `vm` and `e` solid, `qg`, `qs` and `va` dashed. The
+  stored energy includes e(49), its value after the last step.
+- (b) Demand at the buses, `pd` solid and `qd` dashed, and the total demand P^d dash-dotted.
+- (c) Total demand P^d dash-dotted, generation P^g solid, charging power P^s dashed, losses P^loss yellow, and
+  the total stored energy E. The paper defines P^loss as P^g - P^d - P^s. Here it is the sum of the flows into
+  all branches, so that the balance is a check.
+
+Powers are in MW and MVAr instead of p.u. on 100 MVA. Thin lines are limits, unless they are far from all
+values. ▲ marks quantities at their upper limit, ▼ those at their lower limit, ◆ changes of generation at the
+ramp limit; a limit binds if it is closer than 0.05 % of the range of the quantity.
+
+The tables have what the paper says of its figure, and what `make table` measured in these runs. Because d(t)
+of the paper is unpublished, hours and amounts need not agree; the behaviour should.
+
+{figures}
+
 {stamp}
 """
 
@@ -86,7 +108,11 @@ def main() -> int:
     ]
     stamp = f"{date.today():%Y-%m-%d}; opfmodel {version('opfmodel')}, casadi {version('casadi')}."
     text = TEXT.format(
-        table=markdown(comparisons), gains=gains(comparisons), reference=reference(), stamp=stamp
+        table=markdown(comparisons),
+        gains=gains(comparisons),
+        reference=reference(),
+        figures=section({c.scenario: c.run.data for c in comparisons if "J_e" not in c.failures and c.run}),
+        stamp=stamp,
     )
     PAGE.write_text(text, encoding="utf-8")
     print(text)

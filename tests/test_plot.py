@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import demand, everything
+import xarray as xr
+from conftest import Call, demand, everything
 from test_plants import Heater, HeaterDevice
 
 import opfmodel as om
 from opfmodel.check import losses
-from opfmodel.results import figures
+from opfmodel.errors import ResultError
+from opfmodel.results import binding, figures, load, save
 from opfmodel.results.figures import system
 
 
@@ -116,3 +119,160 @@ def test_the_title_names_the_scenario(plan: om.Plan, tmp_path: Path, monkeypatch
     )
     figures.save_figures(plan.data.assign_attrs(scenario="island:dc"), tmp_path, figures=["system"])
     assert set(titles) == {"island:dc: system"}
+
+
+def panel(figure: object, label: str) -> object:
+    """The panel with a label of its axis of values."""
+    (axis,) = [axis for axis in figure.axes if axis.get_ylabel() == label]
+    return axis
+
+
+def lines(axis: object, style: str) -> list[list[float]]:
+    """Values of the thick lines of a style, in the order of their buses."""
+    found = [line for line in axis.get_lines() if line.get_linestyle() == style and line.get_linewidth() > 1]
+    return [np.asarray(line.get_ydata()).tolist() for line in found]
+
+
+def limits(axis: object) -> set[float]:
+    """Values of the thin lines."""
+    return {float(y) for line in axis.get_lines() if line.get_linewidth() < 1 for y in line.get_ydata()}
+
+
+def marks(axis: object, marker: str) -> list[tuple[float, float]]:
+    """Points with a marker."""
+    found = [line.get_xydata() for line in axis.get_lines() if line.get_marker() == marker]
+    return sorted((float(x), float(y)) for points in found for x, y in points)
+
+
+def held(values: np.ndarray) -> list[list[float]]:
+    """Values of stages as lines: the last one is repeated to end its stage."""
+    return [[*line, line[-1]] for line in np.asarray(values).T.tolist()]
+
+
+def test_the_figure_of_the_paper_has_the_panels_of_its_captions(plan: om.Plan) -> None:
+    data, figure = plan.data, figures.paper(plan.data)
+    generation, charging = (
+        panel(figure, "generation\n[MW], [MVAr]"),
+        panel(figure, "charging power\n[MW], [MVAr]"),
+    )
+    assert lines(generation, "-") == held(data["pg"].values)  # of buses a and c
+    assert lines(generation, "--") == held(data["qg"].values)
+    order = ["tank", "battery"]  # of buses b and d
+    assert lines(charging, "-") == held(data["ps"].sel(storage=order).values)
+    assert lines(charging, "--") == held(data["qs"].sel(storage=order).values)
+    voltage, angle = panel(figure, "voltage [p.u.]"), panel(figure, "angle [deg]")
+    assert voltage.bbox.bounds == angle.bbox.bounds  # one panel
+    assert lines(voltage, "-") == held(data["vm"].values)
+    assert lines(angle, "--") == held(data["va"].values)
+    whole = np.vstack([data["e"].sel(storage=order), data["e_next"].sel(storage=order)[-1:]])
+    assert lines(panel(figure, "energy [MWh]"), "-") == whole.T.tolist()
+    demands = panel(figure, "demand\n[MW], [MVAr]")
+    assert lines(demands, "-") == held(data["pd"].values)
+    assert lines(demands, "--") == held(data["qd"].values)
+    total = data["pd"].sum("bus").values
+    assert lines(panel(figure, "total demand [MW]"), "-.") == held(total[:, None])
+    assert lines(panel(figure, "total energy [MWh]"), "-") == [whole.sum(axis=1).tolist()]
+    names = ("generation $P^g$", "demand $P^d$", "charging $P^s$", "losses $P^{loss}$")
+    pg, pd, ps, loss = (drawn(figure, name) for name in names)
+    assert pg - pd - ps - loss == pytest.approx(0.4 * data["vm"].sel(bus="d").values ** 2, abs=1e-5)  # shunt
+    assert {"bus a", "active, voltage", "reactive, angle", "limit", "at ramp limit"} <= set(labels(figure))
+
+
+def test_datasets_have_the_limits_of_their_quantities(plan: om.Plan, tmp_path: Path) -> None:
+    data = plan.data
+    assert data["vm_max"].values.tolist() == [1.1] * 4
+    assert data["pg_min"].sel(generator="cheap") == 5
+    assert data["pg_ramp"].values.tolist() == [15, np.inf]
+    battery = data.sel(storage="battery")
+    assert (battery["ps_min"], battery["ps_max"], battery["e_min"], battery["e_max"]) == (-11, 10, 0, 40)
+    series = {**demand(3), "dear.p_max": [50, 40, 30]}
+    varying = om.MultiStage(everything(), 3, formulation="copperplate", profiles=series).solve().data
+    assert varying["pg_max"].sel(generator="dear").values == pytest.approx([50, 40, 30])
+    assert "vm_max" not in varying
+    save(varying, {}, tmp_path)
+    xr.testing.assert_identical(load(tmp_path), varying)
+    save(varying.assign(pg_max=("bus", np.ones(4))), {}, tmp_path)
+    with pytest.raises(ResultError, match="pg_max: has the dimensions"):
+        load(tmp_path)
+
+
+@pytest.fixture
+def bound(plan: om.Plan) -> xr.Dataset:
+    """Data at limits: a voltage, generation, a storage and a ramp."""
+    data = plan.data.copy(deep=True)
+    data["vm"].loc[{"bus": "a"}] = [1.1, 1.05, 0.9]
+    data["pg"].loc[{"generator": "cheap"}] = [60, 45, 50]  # 15 MW of ramp down
+    data["e_next"].loc[{"storage": "battery"}] = [40, 20, 0.001]
+    data["qs"].loc[{"storage": "tank"}] = 0
+    data["qs_min"].loc[{"storage": "tank"}] = data["qs_max"].loc[{"storage": "tank"}] = 0
+    return data
+
+
+def without_limits(data: xr.Dataset) -> xr.Dataset:
+    return data.drop_vars([name for name in data if str(name).endswith(("_min", "_max", "_ramp"))])
+
+
+def test_limits_bind_where_values_reach_them(bound: xr.Dataset) -> None:
+    at_limit = binding(bound)
+    assert at_limit["vm"].sel(bus="a").values.tolist() == [1, 0, -1]
+    assert at_limit["pg"].sel(generator="cheap").values.tolist() == [1, 0, 0]
+    assert at_limit["e"].sel(storage="battery").values.tolist() == [1, 0, -1]
+    assert at_limit["pg_ramp"].sel(generator="cheap").values.tolist() == [0, -1, 0]
+    assert not at_limit["pg_ramp"].sel(generator="dear").any()  # without a ramp limit
+    assert not at_limit["qs"].sel(storage="tank").any()  # fixed
+    out = bound.assign(generator_status=bound["pg"].copy(data=[[1, 1], [0, 1], [1, 1]]))
+    assert not binding(out)["pg_ramp"].any()  # a unit that trips or returns
+    assert not set(binding(without_limits(bound)))
+
+
+def test_the_figure_of_the_paper_marks_limits_that_bind(bound: xr.Dataset) -> None:
+    figure = figures.paper(bound, ["a", "d"])
+    voltage, energy = panel(figure, "voltage [p.u.]"), panel(figure, "energy [MWh]")
+    generation = panel(figure, "generation\n[MW], [MVAr]")
+    assert (0.5, 1.1) in marks(voltage, "^")  # in the middle of the stage
+    assert (2.5, 0.9) in marks(voltage, "v")
+    assert (marks(energy, "^"), marks(energy, "v")) == ([(1, 40)], [(3, 0.001)])  # at its end
+    assert marks(generation, "D") == [(1, 52.5)]  # half-way between two stages
+    assert limits(voltage) == {0.9, 1.1}
+    assert limits(energy) == {0, 40}
+    far = figures.paper(bound.assign(vm_max=bound["vm_max"] + 9), ["a"])
+    assert limits(panel(far, "voltage [p.u.]")) == {0.9}
+
+
+@pytest.mark.parametrize("formulation", ["dc", "copperplate"])
+def test_the_figure_of_the_paper_shows_what_there_is(formulation: str) -> None:
+    grid = everything()
+    grid.remove("tank")
+    grid.remove("battery")
+    figure = figures.paper(om.MultiStage(grid, 2, formulation=formulation, profiles=demand(2)).solve().data)
+    shown = [axis.get_ylabel() for axis in figure.axes]
+    assert ("angle [deg]" in shown) == (formulation == "dc")
+    assert not {"charging power\n[MW], [MVAr]", "voltage [p.u.]", "total energy [MWh]"} & set(shown)
+
+
+def test_the_figure_of_the_paper_shows_scenarios_as_a_fan() -> None:
+    horizon = om.Horizon.tree([1, 1], {"low": 0.4, "high": 0.6}, common=1)
+    problem = om.MultiStage(everything(), horizon, profiles=demand(2), formulation="dc")
+    futures = [om.Profiles.of({key: values * f for key, values in demand(2).items()}) for f in (0.6, 1)]
+    data = problem.solve(expected=problem.expected(futures)).data
+    data["pg"].loc[{"generator": "cheap"}] = [30, 45, 15]  # both are a ramp from the common stage
+    assert binding(data)["pg_ramp"].sel(generator="cheap").values.tolist() == [0, 1, -1]
+    generation = panel(figures.paper(data, ["a"]), "generation\n[MW], [MVAr]")
+    assert lines(generation, "-") == [[30, 45, 45], [30, 15, 15]]
+    assert marks(generation, "D") == [(1, 22.5), (1, 37.5)]
+
+
+def test_plot_paper_draws_one_figure_of_the_chosen_buses(
+    bound: xr.Dataset, tmp_path: Path, call: Call
+) -> None:
+    save(bound, {}, tmp_path)
+    code, out, err = call("plot", tmp_path, "--paper", "--buses", "a, d", "--bus", "b", "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["figures"] == [str(tmp_path / "paper.pdf"), str(tmp_path / "paper.png")]
+    code, _, err = call("plot", tmp_path, "--paper", "--buses", "a,e,f")
+    assert (code, err) == (2, "error: no bus is named 'e', 'f'; available: a, b, c, d\n")
+    save(without_limits(bound), {}, tmp_path)
+    assert not (tmp_path / "paper.png").exists()  # of the results before
+    code, _, err = call("plot", tmp_path, "--paper")
+    assert code == 0
+    assert "no limits" in err

@@ -135,7 +135,7 @@ def label_time(axis: Any, data: xr.Dataset, *, narrow: bool = False) -> None:
     dates: Any = import_module("matplotlib.dates")
     name = str(data["time"].attrs.get("zone", "UTC"))
     zone = zone_of(name)
-    fewer = {"minticks": 2, "maxticks": 6} if narrow else {}
+    fewer = {"minticks": 3, "maxticks": 6} if narrow else {}
     locator = dates.AutoDateLocator(tz=zone, **fewer)
     axis.xaxis.set_major_locator(locator)
     axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=zone))

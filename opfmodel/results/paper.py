@@ -1,7 +1,7 @@
-"""The figure of a closed loop in the paper that opfmodel follows, with limits and where they bind.
+"""The figure of closed-loop trajectories in the paper that opfmodel follows, with limits and where they bind.
 
-After Figures 2 to 5 of T. Faulwasser and A. Engelmann, "Towards economic NMPC for multi-stage AC optimal
-power flow" (2019).
+After T. Faulwasser and A. Engelmann, "Towards economic NMPC for multi-stage AC optimal power flow" (2019),
+section "Simulation Examples".
 """
 
 from __future__ import annotations
@@ -103,7 +103,6 @@ def paper(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
         axes[place].set_title(heading, loc="left", fontsize=_SIZE)
     for axis in axes:
         axis.yaxis.label.set_size(_SIZE)
-    for axis in axes:
         lowest = axis in totals[1:]
         axis.tick_params(labelbottom=lowest)
         axis.xaxis.offsetText.set_visible(lowest)
@@ -117,7 +116,7 @@ def paper(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
 
 
 def _grid(states: int, *, stored: bool) -> tuple[Figure, list[Any]]:
-    """Return a figure and its panels: states and demand in two columns, two of power, stored energy."""
+    """Return a figure and its panels: states and demand in two columns, then power, and stored energy."""
     from matplotlib.figure import Figure
 
     rows = (states + 1) // 2
@@ -125,7 +124,10 @@ def _grid(states: int, *, stored: bool) -> tuple[Figure, list[Any]]:
     grid = figure.add_gridspec(rows + 3, 2, height_ratios=[*[1.0] * (rows + 1), 0.6, 0.6])
     places = [grid[number // 2, number % 2] for number in range(states)]
     places += [grid[rows, 0], grid[rows, 1]]
-    places += [grid[rows + 1, 0], grid[rows + 2, 0], grid[rows + 1 :, 1]][: 2 + stored]
+    left = 0 if stored else slice(None)
+    places += [grid[rows + 1, left], grid[rows + 2, left]]
+    if stored:
+        places.append(grid[rows + 1 :, 1])
     axes: list[Any] = []
     for place in places:
         axis = figure.add_subplot(place, sharex=axes[0] if axes else None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ class Comparison:
         Errors behind missing costs, by name of the cost.
     currency
         Name of the currency of the costs.
+    run
+        Closed loop with the scenario's controller; None if it could not begin.
     """
 
     scenario: str
@@ -46,6 +48,7 @@ class Comparison:
     published: Mapping[str, float]
     failures: Mapping[str, str]
     currency: str = CURRENCY
+    run: Run | None = field(default=None, repr=False, compare=False)
 
     def as_dict(self) -> dict[str, Any]:
         """The comparison as plain data."""
@@ -83,21 +86,22 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     report = on_run if on_run is not None else lambda _: None
     scenario = load_scenario(path)
 
-    def loop(name: str, controlled: Scenario) -> None:
+    def loop(name: str, controlled: Scenario) -> Run | None:
         report(f"{controlled.name}: {COSTS[name]}")
         try:
             run: Run = controlled.simulate()
         except OpfmodelError as error:
             failures[name] = str(error)
-            return
+            return None
         if run.interrupted:  # the loop returns normally; the comparison stops
             raise KeyboardInterrupt
         if run.status == "done":
             costs[name] = run.cost
         else:
             failures[name] = f"{run.status}: {run.termination}"
+        return run
 
-    loop("J_e", scenario)
+    economic = loop("J_e", scenario)
     try:
         costs["J_s"] = scenario.single_stages(scenario.steps).cost
     except OpfmodelError as error:
@@ -105,7 +109,7 @@ def compare(path: str | Path, on_run: Callable[[str], None] | None = None) -> Co
     for name, variant in _VARIANTS.items():
         if variant in scenario.settings.variants:
             loop(name, load_scenario(path, variant))
-    return Comparison(scenario.name, costs, scenario.published, failures, scenario.network.currency)
+    return Comparison(scenario.name, costs, scenario.published, failures, scenario.network.currency, economic)
 
 
 def rows(comparisons: list[Comparison]) -> list[list[str]]:

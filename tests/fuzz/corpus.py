@@ -277,7 +277,10 @@ def _results() -> Iterator[Seed]:
         done = load_scenario(folder / "s.yaml").simulate()
         save(done.data, done.summary(), folder / "run")
         files = {f"run/{file}": content for file, content in _tree(folder / "run").items()}
-    commands = [("plot", "run", "--out", OUT), ("plot", "run", "--out", OUT, "--bus", "a", "--json")]
+    commands = [
+        ("plot", "run", "--out", OUT),
+        ("plot", "run", "--out", OUT, "--paper", "--buses", "a", "--json"),
+    ]
     yield Seed(
         "summary",
         "result",
@@ -288,7 +291,10 @@ def _results() -> Iterator[Seed]:
     )
     # beside its summary, a damaged file is refused because of its checksum
     alone = {"r.nc": files["run/trajectories.nc"]}
-    commands = [("plot", "r.nc", "--out", OUT), ("plot", "r.nc", "--out", OUT, "--bus", "a", "--json")]
+    commands = [
+        ("plot", "r.nc", "--out", OUT),
+        ("plot", "r.nc", "--out", OUT, "--paper", "--bus", "a", "--json"),
+    ]
     yield Seed("trajectories", "result", alone, {"r.nc": ("hdf5", "hdf5", "bytes")}, commands, DRAWING)
 
 
