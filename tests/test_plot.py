@@ -263,12 +263,15 @@ def test_the_figure_of_the_paper_shows_scenarios_as_a_fan() -> None:
 
 
 def test_plot_paper_draws_one_figure_of_the_chosen_buses(
-    bound: xr.Dataset, tmp_path: Path, call: Call
+    bound: xr.Dataset, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(figures, "_drawn", lambda figure, _: ",".join(labels(figure)).encode())  # quick
     save(bound, {}, tmp_path)
     code, out, err = call("plot", tmp_path, "--paper", "--buses", "a, d", "--bus", "b", "--json")
     assert (code, err) == (0, "")
     assert json.loads(out)["figures"] == [str(tmp_path / "paper.pdf"), str(tmp_path / "paper.png")]
+    content = (tmp_path / "paper.png").read_text()
+    assert [bus for bus in "abcd" if f"bus {bus}," in content] == ["a", "b", "d"]
     code, _, err = call("plot", tmp_path, "--paper", "--buses", "a,e,f")
     assert (code, err) == (2, "error: no bus is named 'e', 'f'; available: a, b, c, d\n")
     save(without_limits(bound), {}, tmp_path)
