@@ -175,8 +175,8 @@ def _voltages(shown: Shown, data: xr.Dataset, at_limit: xr.Dataset) -> tuple[str
     named = f"buses {_numbers(buses)}" if len(buses) > 1 else f"bus {_numbers(buses)}"
     lower = int((at_limit["vm"] < 0).any("time").sum())
     return claim, (
-        f"{number} of {data.sizes['bus']} buses are at their upper limit in each step, over all steps "
-        f"{named}; {lower or 'none'} at the lower limit"
+        f"at the upper limit: {number} of {data.sizes['bus']} buses in each step, {named} over all steps; "
+        f"at the lower limit: {lower or 'none'}"
     )
 
 
