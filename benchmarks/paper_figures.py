@@ -110,7 +110,8 @@ def _shifting(shown: Shown, data: xr.Dataset) -> tuple[str, str]:
         claim = "storages discharge in high demand (t = 8 … 15) and charge in low demand (t = 30 … 40)"
         (high, discharged), (low, charged) = _mean(charging[HIGH]), _mean(charging[LOW])
         return claim, (
-            f"P^s is {high} MW on average at t = 8 … 15 ({discharged}), {low} MW at t = 30 … 40 ({charged})"
+            f"P^s is {high} MW on average at t = 8 … 15 ({discharged}), {low} MW at t = 30 … 40 ({charged}); "
+            f"{_against(data, HIGH, 1)} charge in high demand, {_against(data, LOW, -1)} discharge in low demand"
         )
     claim = "energy is shifted from low to high demand"
     if "case5" in shown.scenario:
@@ -129,6 +130,12 @@ def _mean(charging: np.ndarray) -> tuple[str, str]:
     word = "charging" if mean > 0 else "discharging"
     same = (np.sign(mean) * charging > _ACTIVE).sum()
     return f"{mean:+.1f}", f"{word} in {same} of {charging.size} steps"
+
+
+def _against(data: xr.Dataset, steps: slice, sign: int) -> str:
+    """Return how many storages have a mean power of a sign in some steps, opposite to that of their sum."""
+    means = sign * data["ps"].isel(time=steps).mean("time")
+    return f"{int((means > _ACTIVE).sum())} of {means.size} storages"
 
 
 def _fast_ramp(data: xr.Dataset) -> tuple[str, str]:
