@@ -1,5 +1,9 @@
 # The public names and where they live, for type checkers and for __init__.py, which imports at first use.
 
+from .analysis.analyze import (
+    Analysis as Analysis,
+    analyze as analyze,
+)
 from .analysis.bound import (
     Certificate as Certificate,
     certify as certify,

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from opfmodel.cli import convert, inspect, look, powerflow, run, schema, security, solve, study
+from opfmodel.cli import analyze, convert, inspect, look, powerflow, run, schema, security, solve, study
 from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
 from opfmodel.errors import Fault, OpfmodelError, shown
 
@@ -27,6 +27,7 @@ app = typer.Typer(
 app.command("solve")(solve.solve)
 app.command("powerflow")(powerflow.powerflow)
 app.command("security")(security.security)
+app.command("analyze")(analyze.analyze)
 app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)

@@ -6,7 +6,7 @@ The scenarios of a plan appear as a fan: one line for each, the fainter the less
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "buses", "demand", "figure_paths", "paper", "save_figures", "system"]
+__all__ = ["FIGURES", "buses", "demand", "figure_paths", "paper", "save_figures", "system", "write_figures"]
 
 _DEFAULT = ("system", "demand", "buses")
 _FORMATS: dict[str, dict[str, Any]] = {"pdf": {}, "png": {"dpi": 200, "pil_kwargs": {"compress_level": 9}}}
@@ -141,13 +141,26 @@ def save_figures(
     ResultError
         A bus is unknown, or the folder cannot be written.
     """
-    written: dict[Path, bytes] = {}
-    for name in figures:
-        figure = FIGURES[name](data, names)
-        shown = data.attrs.get("scenario", data.attrs.get("network", ""))
+    shown = data.attrs.get("scenario", data.attrs.get("network", ""))
+    drawn = {name: FIGURES[name](data, names) for name in figures}
+    for name, figure in drawn.items():
         add_title(figure, f"{shown}: {name}")
-        for path in figure_paths(folder, [name]):
-            written[path] = _drawn(figure, path.suffix.removeprefix("."))
+    return write_figures(drawn, folder)
+
+
+def write_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
+    """Write each figure as PDF and PNG under its name, replacing files atomically.
+
+    Raises
+    ------
+    ResultError
+        The folder cannot be written.
+    """
+    written = {
+        path: _drawn(figure, path.suffix.removeprefix("."))
+        for name, figure in figures.items()
+        for path in figure_paths(folder, [name])
+    }
     try:
         folder.mkdir(parents=True, exist_ok=True)
         replace(written)

@@ -21,7 +21,7 @@ from opfmodel.results.validity import check_trajectories
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["finite", "load", "save"]
+__all__ = ["finite", "load", "save", "write_record"]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
@@ -74,6 +74,21 @@ def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
     return saved
+
+
+def write_record(record: Mapping[str, object], path: Path) -> None:
+    """Write a record as a JSON file, atomically; its folder is created if necessary.
+
+    Raises
+    ------
+    ResultError
+        The file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace({path: (json.dumps(finite(record), indent=2, allow_nan=False) + "\n").encode()})
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def _netcdf(data: xr.Dataset) -> bytes:

@@ -1,0 +1,233 @@
+"""Strict dissipativity: no stage buys or sells stored energy at better than the price of the steady state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from opfmodel.analysis.finding import Finding, Verdict
+from opfmodel.analysis.rotated import Rotated
+from opfmodel.analysis.subject import State, Subject, again, free, random_starts
+from opfmodel.network.units import scale
+from opfmodel.plan import Plan
+from solvers import SolutionStatus, dual_bound
+from solvers.template import Degree
+
+__all__ = ["check_dissipativity", "stage_curvature"]
+
+Array = npt.NDArray[np.float64]
+
+_STARTS = 25
+_ROUNDS = 12
+_CERTIFIED = {"tol_gap_rel": 1e-10, "tol_gap_abs": 1e-10}  # of Clarabel
+_APART = 1e-2  # p.u.², a stage that differs from the steady state
+
+STATEMENT = (
+    "Proposition 4.1: the system is strictly dissipative with a linear storage function, "
+    "l(x, u) - l(x_s, u_s) + lambda(x) - lambda(x+) >= alpha |x - x_s|^2 for every feasible stage"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """A feasible stage, or one of the relaxation.
+
+    Attributes
+    ----------
+    x
+        State, p.u.
+    rotated
+        Rotated cost, $/h.
+    distance
+        Squared distance of the state from the steady state, p.u.².
+    bound
+        Lower bound on what was minimised, $/h, if the problem is convex.
+    """
+
+    x: Array
+    rotated: float
+    distance: float
+    bound: float = -np.inf
+
+    def value(self, alpha: float) -> float:
+        """Rotated cost less alpha times the squared distance, $/h."""
+        return self.rotated - alpha * self.distance
+
+
+class _Search:
+    """Minimises the rotated cost less alpha times the squared distance over the stages of a problem.
+
+    Parameters
+    ----------
+    relaxed
+        Whether over the stages of the relaxation of its formulation, which is convex.
+    starts
+        Number of random starts, besides the default one.
+    """
+
+    def __init__(self, subject: Subject, relaxed: bool = False, starts: int = 0) -> None:
+        self.subject, self.relaxed, self.starts = subject, relaxed, starts
+
+    @property
+    def formulation(self) -> str:
+        """Name of the formulation over whose stages it minimises."""
+        own = self.subject.problem.formulation
+        return own.relaxed_by if self.relaxed and own.relaxed_by is not None else own.name
+
+    def lowest(self, alpha: float) -> _Stage | None:
+        """Return the stage with the lowest value that was found; None if no solve succeeded."""
+        problem = self.subject.problem_of(1, exact=True, objective=Rotated(self.subject, alpha))
+        if self.formulation != problem.formulation.name:
+            problem = problem.relaxed_problem
+            problem.options = {**problem.options, **_CERTIFIED}
+        plan = problem.solve(initial=free(problem))
+        plans = [plan, *(again(plan, start) for start in random_starts(plan, self.starts))]
+        found = [self._stage(each, alpha) for each in plans if each.optimal]
+        self.subject.advance("dissipativity")
+        return min(found, key=lambda stage: stage.value(alpha), default=None)
+
+    def _stage(self, plan: Plan, alpha: float) -> _Stage:
+        subject, solution = self.subject, plan.solution
+        x = subject.state_of(solution)[:, 0]
+        distance = float(np.sum((x - subject.steady.x) ** 2))
+        step = plan.problem.step
+        value = solution.objective / step - subject.steady.cost
+        convex = solution.status is SolutionStatus.GLOBALLY_OPTIMAL
+        bound = dual_bound(solution) / step - subject.steady.cost if convex else -np.inf
+        return _Stage(x, value + alpha * distance, distance, bound)
+
+    def largest_alpha(self, alpha: float, tolerance: float) -> tuple[float, _Stage | None]:
+        """Return the largest alpha for which no stage has a value below zero, and the stage that limits it.
+
+        With the stage that is lowest for one alpha, the next one is the ratio of its rotated cost to its
+        distance (Dinkelbach 1967); the sequence decreases to the minimum of the ratio.
+        """
+        limiting = None
+        for _ in range(_ROUNDS):
+            stage = self.lowest(alpha)
+            if stage is None or stage.value(alpha) >= -tolerance:
+                break
+            limiting = stage
+            if stage.rotated <= tolerance:
+                return 0.0, stage
+            alpha = stage.rotated / stage.distance
+        return alpha, limiting
+
+
+def stage_curvature(subject: Subject) -> tuple[Array, bool]:
+    """Return the eigenvalues of Q in the stage cost, ascending, and whether the cost is quadratic.
+
+    Q is half the second derivative of the stage cost by the state, in $/(h p.u.²).
+    """
+    plan = subject.steady.plan
+    solution, program = plan.solution, plan.solution.program
+    multipliers = np.zeros(program.n_rows)
+    upper = solution.evaluator.hessian(solution.x, solution.instance.parameters, 1.0, multipliers)
+    upper = sp.csc_array(upper)
+    hessian = (upper + upper.T - sp.diags_array(upper.diagonal())).tocsr()
+    blocks = [program.variables[state.name] for state in subject.states]
+    entries = np.concatenate([block.offset + np.arange(block.items) for block in blocks])
+    q = hessian[entries][:, entries].toarray() / (2.0 * subject.unit**2 * plan.problem.step)
+    quadratic = all(cost.template.degree <= Degree.QUADRATIC for cost in program.costs)
+    return np.linalg.eigvalsh(q), quadratic
+
+
+def check_dissipativity(subject: Subject) -> Finding:
+    """Check strict dissipativity of a system under constant demand.
+
+    The minimum of the rotated cost less alpha times the squared distance from the steady state has an upper
+    bound from solves with many starts, and a lower bound from a convex relaxation.
+    """
+    tolerance = subject.tolerance()
+    eigenvalues, quadratic = stage_curvature(subject)
+    least = max(float(eigenvalues[0]), 0.0)
+    search = _Search(subject, starts=_STARTS)
+    alpha, limiting = search.largest_alpha(1.5 * least or 1.0, tolerance)
+    at = min(alpha, least)
+    upper = search.lowest(at)
+    convex = _Search(subject, relaxed=True)
+    lower = convex.lowest(at)
+    certified = _certified(convex, at, lower, tolerance)
+    along = _along(subject, at)
+    figures: dict[str, Any] = {
+        "storage_function": {
+            name: float(price * scale("$/MWh", subject.problem.network.base_mva))
+            for state, prices in _priced(subject)
+            for name, price in zip(subject.problem.arrays.tables[state.kind].names, prices, strict=True)
+        },
+        "curvature": float(eigenvalues[0]),
+        "quadratic": quadratic,
+        "alpha": alpha,
+        "alpha_certified": certified,
+        "lower": None if lower is None else lower.bound,
+        "upper": None if upper is None else upper.value(at),
+        "relaxation": convex.formulation,
+        "starts": _STARTS + 1,
+        "point": None,
+        "along_closed_loop": along,
+    }
+    broken = limiting if limiting is not None and limiting.rotated <= tolerance else None
+    if broken is not None and (broken.rotated < -tolerance or broken.distance > _APART):
+        figures["point"] = {
+            "rotated_cost": broken.rotated,
+            "distance": float(np.sqrt(broken.distance)),
+            "state": subject.physical(broken.x),
+        }
+        what = (
+            f"a feasible stage is {-broken.rotated:.3g} $/h cheaper than the steady state at its prices"
+            if broken.rotated < -tolerance
+            else "another stage is as cheap as the steady state at its prices"
+        )
+        verdict, why = Verdict.VIOLATED, f"{what}, {np.sqrt(broken.distance):.3g} p.u. away"
+    elif certified:
+        verdict = Verdict.HOLDS
+        why = f"the relaxation certifies alpha = {certified:.4g}"
+    else:
+        verdict = Verdict.UNDECIDED
+        why = (
+            f"no start violates alpha = {alpha:.4g}, but the relaxation leaves a gap: the minimum is between "
+            f"{figures['lower']:.4g} and {figures['upper']:.4g} $/h"
+            if lower is not None and upper is not None
+            else "a solve failed"
+        )
+    return Finding(verdict, STATEMENT, why, tolerance, figures)
+
+
+def _certified(convex: _Search, alpha: float, lowest: _Stage | None, tolerance: float) -> float | None:
+    """Return the largest alpha up to a given one that the relaxation certifies; None if it certifies none."""
+    if alpha <= 0.0 or lowest is None:
+        return None
+    if lowest.bound >= -tolerance:
+        return alpha
+    if lowest.rotated <= tolerance:
+        return None
+    alpha, _ = convex.largest_alpha(lowest.rotated / lowest.distance, tolerance)
+    confirmed = convex.lowest(alpha)
+    return alpha if alpha > 0.0 and confirmed is not None and confirmed.bound >= -tolerance else None
+
+
+def _along(subject: Subject, alpha: float) -> dict[str, Any]:
+    """Return the least value of the dissipation inequality along a closed loop, and the step of it."""
+    loop = subject.loop(subject.stages, subject.stored(1.0), subject.stages)
+    gained = [
+        float(sum(prices @ (after - before)[state.where] for state, prices in _priced(subject)))
+        for before, after in pairwise(loop.x.T)
+    ]
+    away = np.sum((loop.x[:, :-1] - subject.steady.x[:, None]) ** 2, axis=0)
+    margin = loop.cost - subject.steady.cost - np.array(gained) / subject.problem.step - alpha * away
+    if not margin.size:
+        return {"steps": 0, "least": None, "step": None}
+    worst = int(np.argmin(margin))
+    return {"steps": int(margin.size), "least": float(margin[worst]), "step": worst}
+
+
+def _priced(subject: Subject) -> Iterator[tuple[State, Array]]:
+    for state in subject.states:
+        if state.name in subject.storage_function:
+            yield state, subject.storage_function[state.name]

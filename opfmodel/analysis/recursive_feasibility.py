@@ -1,0 +1,225 @@
+"""Recursive feasibility: the states that the next step can reach, and by how much demand may change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.analysis.constant import nominal_problem
+from opfmodel.analysis.finding import Finding, Verdict
+from opfmodel.analysis.growth import DIRECTIONS, GrowingDemand, LargestGrowth
+from opfmodel.analysis.subject import EXACT
+from opfmodel.errors import IncompatibleError
+from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.simulation import Run
+from solvers import SolutionStatus, dual_bound
+
+__all__ = ["Margins", "check_recursive_feasibility"]
+
+Array = npt.NDArray[np.float64]
+
+_TOLERANCE = 1e-6  # of the scaling
+_EACH = 1.0  # p.u. on the base of the network, the direction of a margin of a single bus
+
+STATEMENT = (
+    "Lemma 4.2: A(x, d) is not empty, that is, from every state of the closed loop the demand of the next "
+    "step can be served within ramps, limits and stored energy"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """Largest scalings of a change of demand after which the next step is feasible.
+
+    Parameters
+    ----------
+    problem
+        The problem of the controller; its ramps, limits and storages count, not its costs.
+    """
+
+    problem: MultiStage
+
+    @cached_property
+    def _next(self) -> MultiStage:
+        made = nominal_problem(self.problem, 1, LargestGrowth(self.problem.objective))
+        made.generator_delay, made.regularisation = 0, 0.0
+        made.devices = [*made.devices, GrowingDemand()]
+        made.solver, made.options = "ipopt", EXACT
+        return made
+
+    def largest(self, time: int, state: Initial, p: Array, q: Array) -> float | None:
+        """Return the largest s for which demand d + s (p, q) can be served; None if no solve succeeded.
+
+        One problem with s as a variable. It is negative if d itself cannot be served.
+
+        Parameters
+        ----------
+        time
+            The next step, which provides the demand d.
+        state
+            State before it, in physical units.
+        p, q
+            Direction at the buses, MW and MVAr.
+        """
+        plan = self._solve(self._next, time, state, p, q)
+        return -plan.objective / self.problem.step if plan.optimal else None
+
+    def bound(self, time: int, state: Initial, p: Array, q: Array) -> float | None:
+        """Return an upper bound on the largest scaling from a relaxation; -inf if it is proven infeasible."""
+        problem = self._next
+        try:
+            relaxed = problem if problem.formulation.relaxed_by is None else problem.relaxed_problem
+            plan = self._solve(relaxed, time, state, p, q)
+        except IncompatibleError:
+            return None
+        if plan.solution.status is SolutionStatus.PROVEN_INFEASIBLE:
+            return -np.inf
+        least = dual_bound(plan.solution)
+        return -least / self.problem.step if np.isfinite(least) else None
+
+    def _solve(self, problem: MultiStage, time: int, state: Initial, p: Array, q: Array) -> Plan:
+        base = self.problem.arrays.base_mva
+        direction = {key: values[:, None] / base for key, values in zip(DIRECTIONS, (p, q), strict=True)}
+        return problem.solve(time, initial=state, expected=direction)
+
+
+def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Any = lambda _: None) -> Finding:
+    """Check that the next step is feasible from every state of a closed loop, and by what margin.
+
+    Parameters
+    ----------
+    run
+        The closed loop.
+    """
+    margins = Margins(problem)
+    tried = len(run.steps) + (run.status != "done")  # the step at which a loop broke off counts too
+    p, q = _demand(problem, tried)
+    found = []
+    for time in range(1, tried):
+        state = _state(problem, run, time)
+        change = p[time] - p[time - 1], q[time] - q[time - 1]
+        total = float(np.abs(p[time]).sum())
+        found.append(
+            _Step(
+                time,
+                _plus_one(margins.largest(time, state, *change)) if np.any(change) else None,
+                _times(margins.largest(time, state, p[time], q[time]), total),
+                _times(margins.largest(time, state, -p[time], -q[time]), total),
+            )
+        )
+        advance(f"recursive feasibility: step {time} of {tried - 1}")
+    return _judged(problem, run, margins, found, advance)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Margins of one step.
+
+    Attributes
+    ----------
+    change
+        Largest multiple of the change of demand since the last step; None if it does not change.
+    up, down
+        Largest increase and decrease of all demand in proportion, MW; None if no solve succeeded.
+    """
+
+    time: int
+    change: float | None
+    up: float | None
+    down: float | None
+
+
+def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step], advance: Any) -> Finding:
+    p, q = _demand(problem, len(found) + 1)
+    served = {step.time: _served(step, float(np.abs(p[step.time]).sum())) for step in found}
+    doubtful = [time for time, feasible in served.items() if not feasible]
+    proven = []
+    for time in doubtful:
+        most = margins.bound(time, _state(problem, run, time), p[time], q[time])
+        if most is not None and most < -_TOLERANCE:
+            proven.append(time)
+    figures: dict[str, Any] = {
+        "steps": len(found),
+        "change": [step.change for step in found],
+        "up_mw": [step.up for step in found],
+        "down_mw": [step.down for step in found],
+        "infeasible_steps": proven,
+        "undecided_steps": [time for time in doubtful if time not in proven],
+        "run": run.status,
+    }
+    for side in ("change", "up", "down"):
+        known = {step.time: getattr(step, side) for step in found if getattr(step, side) is not None}
+        at = min(known, key=lambda time: known[time]) if known else None
+        figures[f"least_{side}"] = None if at is None else {"value": known[at], "step": at}
+    if figures["least_up"] is not None:
+        at = figures["least_up"]["step"]
+        figures["buses"] = {"step": at, **_by_bus(problem, margins, _state(problem, run, at), at, advance)}
+    if proven:
+        why = f"{problem.step_name(proven[0])} is proven infeasible from the state before it"
+        return Finding(Verdict.VIOLATED, STATEMENT, why, _TOLERANCE, figures)
+    if doubtful:
+        first = problem.step_name(doubtful[0])
+        why = f"for {first} no feasible state was found, nor a proof that there is none"
+        return Finding(Verdict.UNDECIDED, STATEMENT, why, _TOLERANCE, figures)
+    if not found:
+        return Finding(
+            Verdict.UNDECIDED, STATEMENT, "the closed loop has fewer than two steps", _TOLERANCE, figures
+        )
+    least = figures["least_up"]
+    why = (
+        f"in all {len(found)} steps; the smallest margin is {least['value']:.4g} MW of further demand in "
+        f"total, in {problem.step_name(least['step'])}"
+    )
+    return Finding(Verdict.HOLDS, STATEMENT, why, _TOLERANCE, figures)
+
+
+def _served(step: _Step, total: float) -> bool:
+    """Whether the demand of a step can be served: the scaling zero lies in one of the ranges found."""
+    return any(side is not None and side >= -_TOLERANCE * total for side in (step.up, step.down))
+
+
+def _by_bus(problem: MultiStage, margins: Margins, state: Initial, time: int, advance: Any) -> dict[str, Any]:
+    """Return the margins of single buses, MW of active demand in either direction."""
+    names, base = problem.arrays.bus.names, problem.network.base_mva
+    found: dict[str, dict[str, float | None]] = {"up_mw": {}, "down_mw": {}}
+    for number, name in enumerate(names):
+        for side, sign in (("up_mw", 1.0), ("down_mw", -1.0)):
+            direction = np.zeros(len(names))
+            direction[number] = sign * base * _EACH
+            largest = margins.largest(time, state, direction, np.zeros(len(names)))
+            found[side][name] = _times(largest, base * _EACH)
+        advance(f"recursive feasibility: bus {number + 1} of {len(names)}")
+    return found
+
+
+def _demand(problem: MultiStage, steps: int) -> tuple[Array, Array]:
+    """Return active and reactive demand at the buses, ``(steps, buses)`` in MW and MVAr."""
+    network = problem.window(0, steps)
+    totals = []
+    for field in ("p", "q"):
+        values = network.at_buses("load", network.load.arrays[field]) * network.base_mva
+        totals.append(np.broadcast_to(values, (len(network.bus), steps)).T)
+    return totals[0], totals[1]
+
+
+def _state(problem: MultiStage, run: Run, time: int) -> Initial:
+    """Return the state of a closed loop before a step, in physical units."""
+    step, base = run.steps[time - 1], problem.arrays.base_mva
+    made = {}
+    for name, state in problem.model.states.items():
+        key = state.kind, f"{name}_next" if state.role == "stock" else name
+        if key in step.values:
+            made[name] = step.values[key] * base
+    return made
+
+
+def _plus_one(value: float | None) -> float | None:
+    return None if value is None else 1.0 + value
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
