@@ -111,7 +111,8 @@ def _shifting(shown: Shown, data: xr.Dataset) -> tuple[str, str]:
         (high, discharged), (low, charged) = _mean(charging[HIGH]), _mean(charging[LOW])
         return claim, (
             f"P^s is {high} MW on average at t = 8 … 15 ({discharged}), {low} MW at t = 30 … 40 ({charged}); "
-            f"{_against(data, HIGH, 1)} charge in high demand, {_against(data, LOW, -1)} discharge in low demand"
+            f"{_against(data, HIGH, 1)} charge in high demand, {_against(data, LOW, -1)} discharge in low "
+            "demand"
         )
     claim = "energy is shifted from low to high demand"
     if "case5" in shown.scenario:

@@ -63,7 +63,9 @@ def _verdicts(results: dict[str, Checks]) -> str:
 
 
 def _steady_state(results: dict[str, Checks]) -> str:
-    head = "| system | verdict | cost, $/h | limits that bind | path: pieces | longest piece, share of the path |"
+    head = (
+        "| system | verdict | cost, $/h | binding limits | pieces of the path | longest, share of the path |"
+    )
     rows = []
     for system, found in _of(results, "steady_state"):
         path = found["path"]
@@ -102,16 +104,8 @@ def _practical_stability(results: dict[str, Checks]) -> str:
     rows = []
     for system, found in _of(results, "practical_stability"):
         ends = [", ".join(map(str, found["horizons"])), ", ".join(f"{d:.3g}" for d in found["distance"])]
-        smallest = found["smallest_horizon"]
-        rows.append(
-            [
-                system,
-                found["verdict"],
-                f"{found['tolerance']:.3g}",
-                *ends,
-                "" if smallest is None else str(smallest),
-            ]
-        )
+        smallest = "none" if found["smallest_horizon"] is None else str(found["smallest_horizon"])
+        rows.append([system, found["verdict"], f"{found['tolerance']:.3g}", *ends, smallest])
     return table(head, rows)
 
 

@@ -54,60 +54,42 @@ class Arc:
 
 
 def estimated_arc(subject: Subject) -> Arc | None:
-    """Return an estimate of the arcs of a system; None if it has no storages with power."""
-    stage = subject.steady.plan.stage
-    if not stage.has("ps") or not len(subject.problem.arrays.storage):
-        return None
+    """Return an estimate of the arcs of a system; None if it has no storages that can move energy."""
+    where = next((state.where for state in subject.states if state.name == "e"), slice(0))
     plan = subject.steady.plan
-    program, instance = plan.solution.program, plan.solution.instance
-    block, power = program.variables["e"], program.variables["ps"]
-    low, high = (power.read(side)[:, 0] for side in (instance.lower, instance.upper))
-    upper = plan.solution.evaluator.hessian(
-        plan.solution.x, instance.parameters, 1.0, np.zeros(program.n_rows)
-    )
-    unit, step = subject.unit, plan.problem.step
-    weights = np.asarray(upper.diagonal())[block.offset : block.offset + block.items] / (2 * unit**2 * step)
+    if where.start == where.stop or not plan.stage.has("ps"):
+        return None
+    weights = subject.q.diagonal()[where]
     spread = _spread(weights)
+    power, instance = plan.solution.program.variables["ps"], plan.solution.instance
+    low, high = (subject.unit * power.read(side)[:, 0] for side in (instance.lower, instance.upper))
+    able = np.minimum(-low, high)  # in either direction
+    swing = _SHARE * float((able[spread > 0] / spread[spread > 0]).min())
+    if not 0.0 < swing < np.inf:
+        return None
+    costs = [_generation(subject, direction * swing * spread, weights, where) for direction in (-1.0, 1.0)]
+    at_rest = _generation(subject, np.zeros(spread.size), weights, where)
+    if at_rest is None or costs[0] is None or costs[1] is None:
+        return None
+    generation = max(0.0, (costs[0] + costs[1] - 2 * at_rest) / (2 * swing**2))
     energy = float(weights @ spread**2)
-    most = min(-low[spread > 0].max(initial=-np.inf), high[spread > 0].min(initial=np.inf))
-    swing = _SHARE * most / spread.max() if most > 0 else 0.0
-    if not swing or not np.isfinite(swing):
-        return None
-    costs = [_cost(subject, share * swing * spread) for share in (-1.0, 1.0)]
-    if None in costs:
-        return None
-    total = sum(cost for cost in costs if cost is not None)
-    generation = max(0.0, (total - 2 * subject.steady.cost) / (2 * (unit * swing) ** 2))
-    moving = np.maximum(np.minimum(-low, high), 1e-12)
-    emptying = float((subject.capacity[_energy(subject)] / unit / moving).max(initial=0.0))
-    rate = 0.0 if energy < _FLAT else np.sqrt(energy / max(generation, _FLAT))
-    return Arc(generation, energy, float(rate), emptying)
-
-
-def _energy(subject: Subject) -> slice:
-    return next(state.where for state in subject.states if state.name == "e")
+    rate = 0.0 if energy < _FLAT else math.sqrt(energy / max(generation, _FLAT))
+    return Arc(generation, energy, rate, float((subject.capacity[where] / able).max()))
 
 
 def _spread(weights: Array) -> Array:
     """Return the shares of the storages in total energy that have the lowest weighted sum of squares."""
-    free_of_cost = weights < _FLAT
-    inverse = free_of_cost.astype(float) if free_of_cost.any() else 1.0 / weights
+    costless = weights < _FLAT
+    inverse = costless.astype(float) if costless.any() else 1.0 / weights
     return np.asarray(inverse / inverse.sum())
 
 
-def _cost(subject: Subject, power: Array) -> float | None:
-    """Return the cost of the cheapest stage with given power of the storages, less that of its energy."""
-    problem = subject.stage_problem
+def _generation(subject: Subject, power: Array, weights: Array, where: slice) -> float | None:
+    """Return the cost of the cheapest stage with given storage power, less that of its energy, $/h."""
+    problem, given = subject.stage_problem, power[:, None] / subject.unit
     request = Request(0, free(problem), End(), None, problem.horizon)
-    plan = problem.solve_once(request, limits={"ps": (power[:, None], power[:, None])})
+    plan = problem.solve_once(request, limits={"ps": (given, given)})
     if not plan.optimal:
         return None
-    energy = plan.stage.storage.e[:, 0]
-    at_rest = subject.steady.plan.stage.storage.e[:, 0]
-    upper = subject.steady.plan.solution
-    block = upper.program.variables["e"]
-    diagonal = upper.evaluator.hessian(
-        upper.x, upper.instance.parameters, 1.0, np.zeros(upper.program.n_rows)
-    ).diagonal()
-    weight = np.asarray(diagonal)[block.offset : block.offset + block.items] / 2
-    return float(plan.objective - weight @ (energy**2 - at_rest**2)) / problem.step
+    energy = subject.x(plan)[where, 0]
+    return plan.objective / problem.step - float(weights @ energy**2)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.rotated import Rotated
@@ -17,9 +16,8 @@ from opfmodel.analysis.subject import State, Subject, again, free, random_starts
 from opfmodel.network.units import scale
 from opfmodel.plan import Plan
 from solvers import SolutionStatus, dual_bound
-from solvers.template import Degree
 
-__all__ = ["check_dissipativity", "stage_curvature"]
+__all__ = ["check_dissipativity"]
 
 Array = npt.NDArray[np.float64]
 
@@ -120,24 +118,6 @@ class _Search:
         return alpha, limiting
 
 
-def stage_curvature(subject: Subject) -> tuple[Array, bool]:
-    """Return the eigenvalues of Q in the stage cost, ascending, and whether the cost is quadratic.
-
-    Q is half the second derivative of the stage cost by the state, in $/(h p.u.²).
-    """
-    plan = subject.steady.plan
-    solution, program = plan.solution, plan.solution.program
-    multipliers = np.zeros(program.n_rows)
-    upper = solution.evaluator.hessian(solution.x, solution.instance.parameters, 1.0, multipliers)
-    upper = sp.csc_array(upper)
-    hessian = (upper + upper.T - sp.diags_array(upper.diagonal())).tocsr()
-    blocks = [program.variables[state.name] for state in subject.states]
-    entries = np.concatenate([block.offset + np.arange(block.items) for block in blocks])
-    q = hessian[entries][:, entries].toarray() / (2.0 * subject.unit**2 * plan.problem.step)
-    quadratic = all(cost.template.degree <= Degree.QUADRATIC for cost in program.costs)
-    return np.linalg.eigvalsh(q), quadratic
-
-
 def check_dissipativity(subject: Subject) -> Finding:
     """Check strict dissipativity of a system under constant demand.
 
@@ -145,7 +125,7 @@ def check_dissipativity(subject: Subject) -> Finding:
     bound from solves with many starts, and a lower bound from a convex relaxation.
     """
     tolerance = subject.tolerance()
-    eigenvalues, quadratic = stage_curvature(subject)
+    eigenvalues, quadratic = np.linalg.eigvalsh(subject.q), subject.quadratic
     least = max(float(eigenvalues[0]), 0.0)
     search = _Search(subject, starts=_STARTS)
     alpha, limiting = search.largest_alpha(1.5 * least or 1.0, tolerance)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 
 from opfmodel.analysis.active import active_limits
 from opfmodel.analysis.constant import AtStep, constant_problem
@@ -16,6 +17,7 @@ from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, Initial, MultiStage, Plan
 from opfmodel.simulation import Controller
 from solvers import Solution, Start
+from solvers.template import Degree
 
 __all__ = ["EXACT", "TIGHT", "Loop", "NoSteadyStateError", "State", "SteadyState", "Subject"]
 
@@ -240,6 +242,25 @@ class Subject:
         """Return x from states by name in physical units."""
         base = self.problem.network.base_mva
         return np.concatenate([np.asarray(state[each.name], dtype=float) / base for each in self.states])
+
+    @cached_property
+    def q(self) -> Array:
+        """Q, half the second derivative of the stage cost by the state in x_s, $/(h p.u.²)."""
+        plan = self.steady.plan
+        solution, program = plan.solution, plan.solution.program
+        rows = np.zeros(program.n_rows)
+        upper = solution.evaluator.hessian(solution.x, solution.instance.parameters, 1.0, rows)
+        upper = sp.csc_array(upper)
+        hessian = (upper + upper.T - sp.diags_array(upper.diagonal())).tocsr()
+        blocks = [program.variables[state.name] for state in self.states]
+        entries = np.concatenate([block.offset + np.arange(block.items) for block in blocks])
+        return np.asarray(hessian[entries][:, entries].toarray() / (2.0 * self.unit**2 * plan.problem.step))
+
+    @property
+    def quadratic(self) -> bool:
+        """Whether the stage cost is quadratic, as Assumption 4.1 asks."""
+        costs = self.steady.plan.solution.program.costs
+        return all(cost.template.degree <= Degree.QUADRATIC for cost in costs)
 
     @cached_property
     def capacity(self) -> Array:
