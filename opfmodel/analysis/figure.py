@@ -32,7 +32,7 @@ def turnpike_figure(finding: Finding, scenario: str) -> Figure:
         distance.plot(np.arange(away.size) * merged, away, color=shade, linewidth=1.2, label=f"N = {horizon}")
     distance.axhline(figures["epsilon"], color="0.4", linewidth=0.8, linestyle=":", label="ε")
     distance.set(xlabel="step", ylabel="distance from $x_s$ [p.u.]", title=f"{scenario}: {_START} storages")
-    for (name, of), mark in zip(figures["by_initial_state"].items(), "os^", strict=True):
+    for (name, of), mark in zip(figures["by_initial_state"].items(), "os^", strict=False):
         count.plot(figures["horizons"], of["outside"], marker=mark, markersize=4, linewidth=1.2, label=name)
     count.plot(figures["horizons"], figures["horizons"], color="0.4", linewidth=0.8, linestyle=":", label="N")
     count.set(xlabel="horizon N [steps]", ylabel="steps outside the ball", title="turnpike")

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 STARTS = {"empty": 0.0, "half full": 0.5, "full": 1.0}
 _EPSILON = 0.05  # of the norm of the capacities
-_MOST = 60_000  # nodes times components of a plan; longer horizons have longer stages
+_MOST = 40_000  # nodes times components of a plan; longer horizons have longer stages
 _LONGEST = 20_000  # base steps
 _SETTLED, _GROWING = 0.1, 0.9  # further stages outside per further stage of the horizon
 _BEYOND = 1.5  # times the estimated arcs that the last horizon but one exceeds
@@ -60,7 +60,7 @@ def check_turnpike(
     """
     ball = radius(subject) if epsilon is None else epsilon
     arc = estimated_arc(subject)
-    starts = {name: subject.stored(share) for name, share in STARTS.items()}
+    starts = _starts(subject, ball)
     farthest = max(float(np.linalg.norm(x - subject.rest)) for x in starts.values())
     expected = _hours(arc, ball, farthest) / subject.problem.step
     swept = _sweep(subject.stages, expected) if horizons is None else list(horizons)
@@ -132,6 +132,13 @@ def _judged(figures: dict[str, Any], expected: float, own: int) -> Finding:
         verdict = Verdict.UNDECIDED
         what += f"; the arcs are estimated to be {expected:.0f} stages long"
     return Finding(verdict, STATEMENT, what, _SETTLED, figures)
+
+
+def _starts(subject: Subject, ball: float) -> dict[str, Array]:
+    """Return the initial states, without those that are the steady state, if others remain."""
+    named = {name: subject.stored(share) for name, share in STARTS.items()}
+    away = {name: x for name, x in named.items() if np.linalg.norm(x - subject.rest) > ball}
+    return away or named
 
 
 def _hours(arc: Arc | None, ball: float, farthest: float) -> float:
