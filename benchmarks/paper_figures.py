@@ -111,8 +111,8 @@ def _shifting(shown: Shown, data: xr.Dataset) -> tuple[str, str]:
         (high, discharged), (low, charged) = _mean(charging[HIGH]), _mean(charging[LOW])
         return claim, (
             f"P^s is {high} MW on average at t = 8 … 15 ({discharged}), {low} MW at t = 30 … 40 ({charged}); "
-            f"{_against(data, HIGH, 1)} charge in high demand, {_against(data, LOW, -1)} discharge in low "
-            "demand"
+            f"storages that charge in high demand: {_against(data, HIGH, 1)}, "
+            f"that discharge in low demand: {_against(data, LOW, -1)}"
         )
     claim = "energy is shifted from low to high demand"
     if "case5" in shown.scenario:
@@ -136,7 +136,7 @@ def _mean(charging: np.ndarray) -> tuple[str, str]:
 def _against(data: xr.Dataset, steps: slice, sign: int) -> str:
     """Return how many storages have a mean power of a sign in some steps, opposite to that of their sum."""
     means = sign * data["ps"].isel(time=steps).mean("time")
-    return f"{int((means > _ACTIVE).sum())} of {means.size} storages"
+    return f"{int((means > _ACTIVE).sum())} of {means.size}"
 
 
 def _fast_ramp(data: xr.Dataset) -> tuple[str, str]:
