@@ -46,6 +46,7 @@ _MARKS: dict[str, dict[str, Any]] = {
     "at ramp limit": {"marker": "D", "markersize": 3.5, "markeredgecolor": "black", "markeredgewidth": 0.6},
 }
 _UPPER, _LOWER, _RAMP = _MARKS
+_ON_DOTS = {"markersize": 5}  # larger than the dots of a line
 
 
 class _Panel(NamedTuple):
@@ -229,8 +230,9 @@ def _draw_marks(
             if mark == _RAMP:
                 at, heights = times[:-1], 0.5 * (own + np.append(own[0], own[:-1]))
             there = where[path]
+            style = {**_MARKS[mark], **(_ON_DOTS if at_end else {})}
             if there.any():
-                axis.plot(at[there], heights[there], linestyle="none", zorder=3, **line, **_MARKS[mark])
+                axis.plot(at[there], heights[there], linestyle="none", zorder=3, **line, **style)
 
 
 def _draw_demand(each: Any, all_: Any, data: xr.Dataset, colours: Mapping[str, Any]) -> None:
