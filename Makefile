@@ -2,7 +2,7 @@
 # make test   install the test dependencies; run the tests except the slow ones
 # make fuzz   run mutated inputs for SECONDS (300); write the counts to docs/inputs.md
 # make check  check style, types and layers
-# make table  run the closed loops of the paper's four systems; write docs/paper-table.md
+# make table  run the closed loops of the paper's four systems; write docs/paper-table.md and its figures
 # make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
 # make generated  write JSON Schemas and the tables of the documentation from declarations
 # make pglib  solve every available PGLib case; write docs/pglib.md
