@@ -117,7 +117,7 @@ def analyze(
     step
         Step whose demand, limits and costs are held constant where the theory assumes a constant disturbance.
     horizons
-        Horizons of the turnpike, in steps; by default doubled until they exceed the arcs well.
+        Horizons of the turnpike, in steps; by default to well beyond the expected arcs.
     advance
         Called as work progresses, with what is being done.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ STARTS = {"empty": 0.0, "half full": 0.5, "full": 1.0}
 _EPSILON = 0.05  # of the norm of the capacities
 _MOST = 40_000  # nodes times components of a plan; longer horizons have longer stages
 _LONGEST = 20_000  # base steps
+_BEFORE = 3  # horizons up to the arcs
 _SETTLED, _GROWING = 0.1, 0.9  # further stages outside per further stage of the horizon
 _BEYOND = 1.5  # times the estimated arcs that the last horizon but one exceeds
 
@@ -53,8 +55,8 @@ def check_turnpike(
     Parameters
     ----------
     horizons
-        Numbers of base steps, ascending; by default doubled from the horizon of the problem until they
-        exceed the estimated arcs well.
+        Numbers of base steps, ascending; by default from the horizon of the problem to well beyond the
+        estimated arcs.
     epsilon
         Radius of the ball, p.u.
     """
@@ -146,12 +148,13 @@ def _hours(arc: Arc | None, ball: float, farthest: float) -> float:
 
 
 def _sweep(stages: int, expected: float) -> list[int]:
-    """Return horizons doubled from that of the problem until two exceed the estimated arcs well."""
-    longest = _BEYOND * expected if np.isfinite(expected) else 8.0 * stages
-    swept = [max(stages, 2)]
-    while len(swept) < 3 or (swept[-2] < longest and swept[-1] * 2 <= _LONGEST):
-        swept.append(2 * swept[-1])
-    return swept
+    """Return the horizon of the problem and longer ones, the last two well beyond the estimated arcs."""
+    first = max(stages, 2)
+    beyond = min(
+        _LONGEST // 2, max(math.ceil(_BEYOND * expected), 2 * first) if np.isfinite(expected) else 4 * first
+    )
+    between = [round(h) for h in np.geomspace(first, beyond, _BEFORE, endpoint=False)]
+    return sorted({first, *between, beyond, 2 * beyond})
 
 
 def _count(outside: npt.NDArray[np.bool_], merge: int) -> _Count:
