@@ -274,8 +274,8 @@ class Subject:
         return np.where(np.isfinite(width), width, 0.0)
 
     def stored(self, share: float) -> Array:
-        """Return the steady state with storages filled to a share of their range."""
-        x = self.steady.x.copy()
+        """Return the steady state of plans with storages filled to a share of their range."""
+        x = self.rest.copy()
         for state in self.states:
             if state.stock:
                 source = self.stage_problem.model.bounds[state.name]
