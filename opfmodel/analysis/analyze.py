@@ -151,6 +151,7 @@ def analyze(
         try:
             findings[name] = check(work)
         except NoSteadyStateError as error:
-            missing = Verdict.VIOLATED if name == "steady_state" else Verdict.UNDECIDED
+            absent = name == "steady_state" and error.proven
+            missing = Verdict.VIOLATED if absent else Verdict.UNDECIDED
             findings[name] = Finding(missing, statement, str(error), 0.0)
     return Analysis(scenario.name, step, findings)

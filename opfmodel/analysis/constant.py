@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.series import Profiles
+from opfmodel.errors import IncompatibleError
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, MultiStage
+from solvers import UnsupportedProgramError, prepare
 
-__all__ = ["AtStep", "constant_problem", "nominal_problem"]
+__all__ = ["AtStep", "constant_problem", "convex_problem", "nominal_problem"]
 
 Array = npt.NDArray[np.float64]
 
@@ -92,6 +94,33 @@ def nominal_problem(problem: MultiStage, stages: int, objective: Objective | Non
         horizon=Horizon.chain(stages, problem.step),
     )
     made.security, made.risk, made.outages, made.end = None, None, (), End()
+    return made
+
+
+def convex_problem(problem: MultiStage, options: Mapping[str, Any] | None = None) -> MultiStage:
+    """Return the relaxation of a problem, or the problem itself if no formulation relaxes its own.
+
+    Parameters
+    ----------
+    options
+        Options of Clarabel, which proves optimality and infeasibility.
+
+    Raises
+    ------
+    IncompatibleError
+        The relaxation lacks a quantity that the objective or a constraint uses, or is not convex.
+    """
+    if problem.formulation.relaxed_by is not None:
+        made = problem.relaxed_problem
+    else:
+        made = problem.variant(elastic=None)
+        made.solver, made.options = "clarabel", {}
+    if options:
+        made.options = {**made.options, **options}
+    try:
+        prepare(made.compile(), made.solver, made.options)
+    except UnsupportedProgramError as error:
+        raise IncompatibleError(f"relaxation {made.formulation.name!r}: not convex: {error}") from error
     return made
 
 

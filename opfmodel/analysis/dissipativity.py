@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.analysis.constant import convex_problem
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.rotated import Rotated
 from opfmodel.analysis.subject import State, Subject, again, free, random_starts
+from opfmodel.errors import IncompatibleError
 from opfmodel.network.units import scale
 from opfmodel.plan import Plan
 from solvers import SolutionStatus, dual_bound
@@ -81,9 +83,11 @@ class _Search:
     def lowest(self, alpha: float) -> _Stage | None:
         """Return the stage with the lowest value that was found; None if no solve succeeded."""
         problem = self.subject.problem_of(1, exact=True, objective=Rotated(self.subject, alpha))
-        if self.formulation != problem.formulation.name:
-            problem = problem.relaxed_problem
-            problem.options = {**problem.options, **_CERTIFIED}
+        if self.relaxed:
+            try:
+                problem = convex_problem(problem, _CERTIFIED)
+            except IncompatibleError:
+                return None
         plan = problem.solve(initial=free(problem))
         plans = [plan, *(again(plan, start) for start in random_starts(plan, self.starts))]
         found = [self._stage(each, alpha) for each in plans if each.optimal]
@@ -174,7 +178,7 @@ def check_dissipativity(subject: Subject) -> Finding:
             f"no start violates alpha = {alpha:.4g}, but the relaxation leaves a gap: the minimum is between "
             f"{figures['lower']:.4g} and {figures['upper']:.4g} $/h"
             if lower is not None and upper is not None
-            else "a solve failed"
+            else f"no start violates alpha = {alpha:.4g}, but no relaxation could be solved"
         )
     return Finding(verdict, STATEMENT, why, tolerance, figures)
 

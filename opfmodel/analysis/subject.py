@@ -11,12 +11,12 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from opfmodel.analysis.active import active_limits
-from opfmodel.analysis.constant import AtStep, constant_problem
-from opfmodel.errors import ModelError
+from opfmodel.analysis.constant import AtStep, constant_problem, convex_problem
+from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, Initial, MultiStage, Plan
 from opfmodel.simulation import Controller
-from solvers import Solution, Start
+from solvers import Solution, SolutionStatus, Start
 from solvers.template import Degree
 
 __all__ = ["EXACT", "TIGHT", "Loop", "NoSteadyStateError", "State", "SteadyState", "Subject"]
@@ -33,7 +33,17 @@ _STARTS = 4  # random starts of a steady state, besides the default one
 
 
 class NoSteadyStateError(ModelError):
-    """There is no steady state; the message says why."""
+    """No steady state was found; the message says why.
+
+    Parameters
+    ----------
+    proven
+        Whether it is proven that there is none.
+    """
+
+    def __init__(self, message: str, proven: bool) -> None:
+        super().__init__(message)
+        self.proven = proven
 
 
 @dataclass(frozen=True)
@@ -167,7 +177,7 @@ class Subject:
         Raises
         ------
         NoSteadyStateError
-            No stage whose storages end as they begin is feasible.
+            No stage whose storages end as they begin is feasible, or none was found.
         """
         problem = self.stage_problem
         cyclic = End(cyclic=True)
@@ -180,8 +190,11 @@ class Subject:
             twin = problem.elastic_twin()
             short = twin.solve(initial=free(twin), end=cyclic).shortages
             lacking = "; ".join(str(shortage) for shortage in short[:3])
+            proven = _proven_infeasible(plan)
+            what = "exists" if proven else "was found, nor a proof that there is none"
             raise NoSteadyStateError(
-                f"{self.problem.step_name(self.step)}: no steady state exists: {lacking or plan.termination}"
+                f"{self.problem.step_name(self.step)}: no steady state {what}: {lacking or plan.termination}",
+                proven,
             )
         return SteadyState(plan, plan.objective / problem.step, self.x(plan)[:, 0], active_limits(plan))
 
@@ -328,6 +341,15 @@ class Subject:
             for state in self.states
             if state.stock and f"{state.name}_dynamics" in plan.solution.program.rows
         }
+
+
+def _proven_infeasible(plan: Plan) -> bool:
+    """Return whether a relaxation proves that the problem of a plan is infeasible."""
+    try:
+        relaxed = convex_problem(plan.problem).solve_once(plan.request)
+    except IncompatibleError:
+        return False
+    return relaxed.solution.status is SolutionStatus.PROVEN_INFEASIBLE
 
 
 def free(problem: MultiStage) -> Initial:
