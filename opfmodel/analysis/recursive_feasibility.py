@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.analysis.constant import nominal_problem
+from opfmodel.analysis.constant import convex_problem, nominal_problem
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.growth import DIRECTIONS, GrowingDemand, LargestGrowth
 from opfmodel.analysis.subject import EXACT
@@ -70,10 +70,8 @@ class Margins:
 
     def bound(self, time: int, state: Initial, p: Array, q: Array) -> float | None:
         """Return an upper bound on the largest scaling from a relaxation; -inf if it is proven infeasible."""
-        problem = self._next
         try:
-            relaxed = problem if problem.formulation.relaxed_by is None else problem.relaxed_problem
-            plan = self._solve(relaxed, time, state, p, q)
+            plan = self._solve(convex_problem(self._next), time, state, p, q)
         except IncompatibleError:
             return None
         if plan.solution.status is SolutionStatus.PROVEN_INFEASIBLE:
@@ -139,8 +137,9 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
     doubtful = [time for time, feasible in served.items() if not feasible]
     proven = []
     for time in doubtful:
-        most = margins.bound(time, _state(problem, run, time), p[time], q[time])
-        if most is not None and most < -_TOLERANCE:
+        state = _state(problem, run, time)
+        most = [margins.bound(time, state, sign * p[time], sign * q[time]) for sign in (1.0, -1.0)]
+        if any(side is not None and side < -_TOLERANCE for side in most):
             proven.append(time)
     figures: dict[str, Any] = {
         "steps": len(found),
@@ -178,8 +177,8 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
 
 
 def _served(step: _Step, total: float) -> bool:
-    """Whether the demand of a step can be served: the scaling zero lies in one of the ranges found."""
-    return any(side is not None and side >= -_TOLERANCE * total for side in (step.up, step.down))
+    """Whether the demand of a step can be served: it lies between the largest and the smallest that can."""
+    return all(side is not None and side >= -_TOLERANCE * total for side in (step.up, step.down))
 
 
 def _by_bus(problem: MultiStage, margins: Margins, state: Initial, time: int, advance: Any) -> dict[str, Any]:
