@@ -69,8 +69,9 @@ def check_steady_state(subject: Subject, initial: Array | None = None) -> Findin
 def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
     """Return evidence that feasible states connect a state with the steady state.
 
-    The straight line between them is followed in small pieces; at each point, the nearest feasible state is
-    found from the last one. Pieces of a length that does not vanish with their number are jumps.
+    The straight line between them is followed from the steady state in small pieces; at each point, the
+    nearest feasible state is found from the last one. Pieces of a length that does not vanish with their
+    number are jumps, and so is what remains at the end.
     """
     target = subject.steady.x
     length = float(np.linalg.norm(x - target))
@@ -81,7 +82,7 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
     found: list[Array] = []
     plan = None
     for share in np.linspace(0.0, 1.0, _PIECES + 1):
-        wanted = x + share * (target - x)
+        wanted = target + share * (x - target)
         expected = {key: wanted[state.where][:, None] / subject.unit for key, state in fields.items()}
         plan = problem.solve(initial=free(problem), expected=expected, previous=plan)
         if not plan.optimal:
@@ -91,10 +92,11 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
     steps = np.linalg.norm(np.diff(found, axis=0), axis=1) if len(found) > 1 else np.zeros(0)
     whole = len(found) == _PIECES + 1
     longest = float(steps.max(initial=0.0))
-    away = float(np.linalg.norm(found[0] - x)) if found else np.inf
+    away = float(np.linalg.norm(found[-1] - x)) if whole else np.inf
+    astray = float(np.linalg.norm(found[0] - target)) if found else np.inf
     allowed = _DETOUR * max(length / _PIECES, 1e-6)
     return {
-        "connected": bool(whole and longest <= allowed),
+        "connected": bool(max(longest, away, astray) <= allowed),
         "length": length,
         "longest_piece": longest,
         "pieces": _PIECES,
