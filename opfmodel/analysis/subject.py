@@ -22,6 +22,7 @@ from solvers.template import Degree
 __all__ = ["EXACT", "TIGHT", "Loop", "NoSteadyStateError", "State", "SteadyState", "Subject"]
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 
 # The checks compare costs that differ in the eighth digit.
 TIGHT = {"tol": 1e-8}
@@ -265,9 +266,23 @@ class Subject:
         upper = solution.evaluator.hessian(solution.x, solution.instance.parameters, 1.0, rows)
         upper = sp.csc_array(upper)
         hessian = (upper + upper.T - sp.diags_array(upper.diagonal())).tocsr()
-        blocks = [program.variables[state.name] for state in self.states]
-        entries = np.concatenate([block.offset + np.arange(block.items) for block in blocks])
+        entries = self._entries
         return np.asarray(hessian[entries][:, entries].toarray() / (2.0 * self.unit**2 * plan.problem.step))
+
+    @cached_property
+    def slope(self) -> Array:
+        """Derivative of the stage cost by the state in x_s, $/(h p.u.)."""
+        plan = self.steady.plan
+        solution = plan.solution
+        gradient = solution.evaluator.gradient(solution.x, solution.instance.parameters)
+        return np.asarray(gradient[self._entries] / (self.unit * plan.problem.step))
+
+    @property
+    def _entries(self) -> Index:
+        """Positions of the states at the beginning of a stage among the variables of the steady state."""
+        program = self.steady.plan.solution.program
+        blocks = [program.variables[state.name] for state in self.states]
+        return np.concatenate([block.offset + np.arange(block.items) for block in blocks])
 
     @property
     def quadratic(self) -> bool:

@@ -24,7 +24,8 @@ _MOST = 40_000  # nodes times components of a plan; longer horizons have longer 
 _LONGEST = 20_000  # base steps
 _BEFORE = 3  # horizons up to the arcs
 _SETTLED, _GROWING = 0.1, 0.9  # further stages outside per further stage of the horizon
-_BEYOND = 1.5  # times the estimated arcs that the last horizon but one exceeds
+_BEYOND = 2.0  # estimated arcs, to the steady state and away from it, that the last horizon but one reaches
+_FURTHER = 1.5  # the last horizon over the one before
 
 STATEMENT = (
     "Theorem 2.1 rests on the turnpike property: the number of stages outside an epsilon-ball of x_s stays "
@@ -144,7 +145,7 @@ def _starts(subject: Subject, ball: float) -> dict[str, Array]:
 
 
 def _hours(arc: Arc | None, ball: float, farthest: float) -> float:
-    return 0.0 if arc is None or farthest <= ball else arc.hours(ball / farthest)
+    return 0.0 if arc is None or farthest <= ball else arc.hours(farthest, ball)
 
 
 def _sweep(stages: int, expected: float) -> list[int]:
@@ -154,7 +155,7 @@ def _sweep(stages: int, expected: float) -> list[int]:
         _LONGEST // 2, max(math.ceil(_BEYOND * expected), 2 * first) if np.isfinite(expected) else 4 * first
     )
     between = [round(h) for h in np.geomspace(first, beyond, _BEFORE, endpoint=False)]
-    return sorted({first, *between, beyond, 2 * beyond})
+    return sorted({first, *between, beyond, math.ceil(_FURTHER * beyond)})
 
 
 def _count(outside: npt.NDArray[np.bool_], merge: int) -> _Count:
