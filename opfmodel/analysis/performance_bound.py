@@ -37,6 +37,11 @@ def check_performance_bound(subject: Subject) -> Finding:
     problem = nominal_problem(subject.problem, subject.stages)
     problem.solver, problem.options = "ipopt", TIGHT
     steady = _steady_costs(subject, problem.stages)
+    missing = np.flatnonzero(np.isnan(steady))
+    if missing.size:
+        name = problem.step_name(subject.step + int(missing[0]))
+        why = f"{name}: no steady state was found"
+        return Finding(Verdict.UNDECIDED, STATEMENT, why, _RELATIVE, {"stages": problem.stages})
     bound = float(steady.sum()) * problem.step
     tolerance = _RELATIVE * max(1.0, abs(bound))
     plans: dict[str, Plan] = {}
@@ -50,7 +55,7 @@ def check_performance_bound(subject: Subject) -> Finding:
     figures: dict[str, Any] = {
         "bound": bound,
         "value": values["as it is"],
-        "saving": None if not own.optimal else 1.0 - own.objective / bound,
+        "saving": (bound - own.objective) / abs(bound) if own.optimal and abs(bound) > tolerance else None,
         "variants": values,
         "binding_ramps": ramps,
         "stages": problem.stages,
@@ -59,7 +64,7 @@ def check_performance_bound(subject: Subject) -> Finding:
         return Finding(
             Verdict.UNDECIDED, STATEMENT, f"the plan is {own.status}: {own.termination}", tolerance, figures
         )
-    saved = f"V_N is {abs(figures['saving']):.3%} {'below' if figures['saving'] >= 0 else 'above'} the bound"
+    saved = _compared(own.objective, bound, tolerance)
     if own.objective <= bound + tolerance:
         assumed = "" if not ramps else "; ramps bind, so that the proposition itself does not apply"
         return Finding(Verdict.HOLDS, STATEMENT, saved + assumed, tolerance, figures)
@@ -74,8 +79,19 @@ def check_performance_bound(subject: Subject) -> Finding:
     return Finding(verdict, STATEMENT, saved + cause, tolerance, figures)
 
 
+def _compared(value: float, bound: float, tolerance: float) -> str:
+    """Return in words how V_N compares with the bound."""
+    if abs(bound - value) <= tolerance:
+        return "V_N equals the bound"
+    side = "below" if value < bound else "above"
+    far = (
+        f"{abs(bound - value) / abs(bound):.3%}" if abs(bound) > tolerance else f"{abs(bound - value):.4g} $"
+    )
+    return f"V_N is {far} {side} the bound"
+
+
 def _steady_costs(subject: Subject, stages: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the cost of the steady state of each step, $/h."""
+    """Return the cost of the steady state of each step, $/h; NaN where none was found."""
     problem = nominal_problem(subject.problem, 1)
     problem.generator_delay, problem.regularisation = 0, 0.0
     problem.solver, problem.options = "ipopt", EXACT
