@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 
 _PIECES = 20  # of the path from the initial state
 _DETOUR = 3.0  # pieces of the straight line that one piece of the path may be long
+_ACCURATE = 1e-3  # of the norm of x_s: interior-point methods leave states that cost nothing that uncertain
 
 STATEMENT = (
     "Assumption 4.2: the optimal steady state (x_s, u_s)(d) exists and lies in the interior of the "
@@ -94,7 +95,7 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
     longest = float(steps.max(initial=0.0))
     away = float(np.linalg.norm(found[-1] - x)) if whole else np.inf
     astray = float(np.linalg.norm(found[0] - target)) if found else np.inf
-    allowed = _DETOUR * max(length / _PIECES, 1e-6)
+    allowed = max(_DETOUR * length / _PIECES, _ACCURATE * float(np.linalg.norm(target)))
     return {
         "connected": bool(max(longest, away, astray) <= allowed),
         "length": length,
