@@ -34,7 +34,7 @@ def check_performance_bound(subject: Subject) -> Finding:
 
     With and without ramps, and with and without storage power. Nothing is asked of the end of the horizon.
     """
-    problem = nominal_problem(subject.problem, subject.stages)
+    problem = nominal_problem(subject.problem, _stages(subject))
     problem.solver, problem.options = "ipopt", TIGHT
     steady = _steady_costs(subject, problem.stages)
     missing = np.flatnonzero(np.isnan(steady))
@@ -77,6 +77,15 @@ def check_performance_bound(subject: Subject) -> Finding:
     proven = _least(own) > bound + tolerance
     verdict = Verdict.VIOLATED if proven else Verdict.UNDECIDED
     return Finding(verdict, STATEMENT, saved + cause, tolerance, figures)
+
+
+def _stages(subject: Subject) -> int:
+    """Return the number of stages of a plan, which ends with the data unless these repeat."""
+    problem = subject.problem
+    known = problem.profiles.length
+    if not known or problem.at_end == "repeat":
+        return subject.stages
+    return min(subject.stages, known - subject.step)
 
 
 def _compared(value: float, bound: float, tolerance: float) -> str:
