@@ -153,6 +153,13 @@ def test_states_that_no_feasible_path_connects() -> None:
     assert check_steady_state(subject, np.array([1.4, 0.1, 0.5])).verdict is HOLDS
 
 
+def test_a_state_is_connected_with_itself() -> None:
+    """Up to what the solver leaves undetermined: stored energy costs nothing here."""
+    subject = Subject(triangle())
+    path = check_steady_state(subject, subject.steady.x).figures["path"]
+    assert (path["connected"], path["length"]) == (True, 0.0)
+
+
 # Dissipativity ----------------------------------------------------------------------------------
 
 
@@ -488,6 +495,16 @@ def test_a_later_step_without_a_steady_state() -> None:
     finding = check_performance_bound(Subject(lossless(3, demand=[150.0, 150.0, 500.0])))
     assert finding.verdict is UNDECIDED
     assert "step 2: no steady state was found" in finding.explanation
+
+
+@pytest.mark.parametrize(("at_end", "stages"), [("error", 2), ("shrink", 2), ("repeat", 3)])
+def test_a_plan_that_reaches_the_end_of_the_data(at_end: str, stages: int) -> None:
+    problem = lossless(3, demand=[150.0, 160.0, 170.0, 150.0], target=None, at_end=at_end)
+    finding = check_performance_bound(Subject(problem, 2))
+    assert (finding.verdict, finding.figures["stages"]) == (HOLDS, stages)
+    assert finding.figures["variants"]["without ramps and storage"] == pytest.approx(
+        finding.figures["bound"], rel=1e-7
+    )
 
 
 # The function and the command -------------------------------------------------------------------
