@@ -66,9 +66,17 @@ BACK_ENDS = [
 ]
 
 
-@pytest.mark.parametrize("delay", [0, 1])
-@pytest.mark.parametrize("end", ENDS)
-@pytest.mark.parametrize(("formulation", "solver"), BACK_ENDS)
+# Every pair of a back end, an end and a delay; of the AC problem every combination.
+SHRUNK = [
+    (*back_end, end, delay)
+    for i, back_end in enumerate(BACK_ENDS)
+    for j, end in enumerate(ENDS)
+    for delay in (0, 1)
+    if (i + j + delay) % 2 == 0 or back_end == ("ac", "ipopt")
+]
+
+
+@pytest.mark.parametrize(("formulation", "solver", "end", "delay"), SHRUNK)
 def test_a_shrunk_plan_is_that_of_a_shorter_problem(
     formulation: str, solver: str, end: str, delay: int
 ) -> None:
