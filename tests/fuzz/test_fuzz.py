@@ -27,15 +27,15 @@ from .run import FAULTS, Case, Outcome, Pool, Report, Worker, cases, keep, minim
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="watches processes through /proc")
 
 SEED = 20261125
-FAST = {"scenario": 80, "network": 80, "table": 60, "study": 50, "record": 80, "result": 25, "override": 80}
-SLOW = dict.fromkeys(KINDS, 120) | {"pandapower": 80, "pypsa": 60, "result": 40}
+FAST = {"scenario": 40, "network": 40, "table": 30, "study": 25, "record": 40, "result": 12, "override": 40}
+SLOW = dict.fromkeys(KINDS, 80) | {"pandapower": 50, "pypsa": 40, "result": 25}
 FOUND = sorted((Path(__file__).parent / "found").glob("*/case.json"))
 
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pool]:
-    """Two workers without the libraries that take long to import."""
-    with Pool(tmp_path_factory.mktemp("fuzz"), 2, ["matplotlib.font_manager"]) as made:
+    """A worker without the libraries that take long to import; tests run beside each other already."""
+    with Pool(tmp_path_factory.mktemp("fuzz"), 1, ["matplotlib.font_manager"]) as made:
         yield made
 
 
