@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 import re
-import subprocess
-import sys
 import unicodedata
 import warnings
 from collections.abc import Iterator
@@ -14,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import Call
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -419,21 +418,10 @@ def test_the_columns_of_set_points_are_checked(tmp_path: Path) -> None:
 # Options, studies, warnings -------------------------------------------------------------------------
 
 
-def command_line(*arguments: object) -> tuple[int, str, str]:
-    """Run a command: exit status, standard output, standard error."""
-    done = subprocess.run(
-        [sys.executable, "-c", "from opfmodel.cli import main; main()", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
-
-
-def test_the_command_line_prints_each_fault_with_an_excerpt(tmp_path: Path) -> None:
+def test_the_command_line_prints_each_fault_with_an_excerpt(tmp_path: Path, call: Call) -> None:
     text = WHOLE.replace("horizon: 2", "horizn: 2").replace("bus: north, p", "bus: nort, p")
     path = written(tmp_path, text)
-    code, out, err = command_line("validate", path, "--json")
+    code, out, err = call("validate", path, "--json")
     assert code == 2
     faults = refused(path)
     expected = [line for fault in faults for line in (f"error: {fault}", *fault.excerpt.splitlines())]
@@ -450,16 +438,16 @@ def test_the_command_line_prints_each_fault_with_an_excerpt(tmp_path: Path) -> N
     }
 
 
-def test_the_command_line_prints_twenty_faults(tmp_path: Path) -> None:
+def test_the_command_line_prints_twenty_faults(tmp_path: Path, call: Call) -> None:
     loads = "".join(f"    l{number}: {{bus: nowhere, p: 1}}\n" for number in range(25))
     path = written(tmp_path, WHOLE.replace("  loads:\n", "  loads:\n" + loads))
-    code, out, err = command_line("solve", path, "--json")
+    code, out, err = call("solve", path, "--json")
     assert (code, err.count("nowhere'"), len(json.loads(out)["faults"])) == (2, 20, 25)
     assert err.splitlines()[-1] == "error: and 5 more"
 
 
-def test_an_error_of_another_kind_has_one_fault_without_a_position() -> None:
-    code, out, err = command_line("solve", "none.m", "--json")
+def test_an_error_of_another_kind_has_one_fault_without_a_position(call: Call) -> None:
+    code, out, err = call("solve", "none.m", "--json")
     (fault,) = json.loads(out)["faults"]
     assert (code, fault["line"], fault["message"]) == (2, None, json.loads(out)["error"])
     assert err == f"error: {fault['message']}\n"
@@ -473,9 +461,11 @@ def test_an_error_of_another_kind_has_one_fault_without_a_position() -> None:
         ("time.steps=90", "series.csv: 4 rows; 91 are needed"),
     ],
 )
-def test_a_value_of_an_option_is_blamed_on_the_option(option: str, message: str, tmp_path: Path) -> None:
+def test_a_value_of_an_option_is_blamed_on_the_option(
+    option: str, message: str, tmp_path: Path, call: Call
+) -> None:
     path = written(tmp_path, WHOLE.replace("weight: 2", "weight: -2"))
-    code, _, err = command_line("validate", path, "--set", "time.step=1", "--set", option)
+    code, _, err = call("validate", path, "--set", "time.step=1", "--set", option)
     first, _, _, second, line, caret = err.splitlines()[:6]
     assert code == 2
     assert first.startswith(f"error: {path}:{position(WHOLE, 'weight: 2')[0]}:")

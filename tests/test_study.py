@@ -22,7 +22,8 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
-from conftest import SCENARIOS
+from conftest import SCENARIOS, Call
+from filelock import FileLock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -849,7 +850,7 @@ def wait_for_records(out: Path, count: int, process: subprocess.Popen[str]) -> N
         time.sleep(0.01)
 
 
-def test_the_command_prints_counts_and_a_table(folder: Path) -> None:
+def test_the_command_prints_counts_and_a_table(folder: Path, call: Call) -> None:
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 0)
     code, out, err = finish(*run, "--json")
     assert (code, err) == (0, "")
@@ -860,30 +861,29 @@ def test_the_command_prints_counts_and_a_table(folder: Path) -> None:
         "failed": 0,
         "skipped": 0,
     }
-    code, out, err = finish(*run)
+    code, out, err = call("study", *run)
     assert (code, err) == (0, "")
     assert "runs    6: 0 done, 0 failed, 6 skipped" in out
-    code, out, err = finish("table", folder / "out", "--json")
+    code, out, err = call("study", "table", folder / "out", "--json")
     assert [row["cost"] for row in json.loads(out)["rows"]] == pytest.approx([600, 700] * 3)
-    code, out, err = finish("table", folder / "out")
+    code, out, err = call("study", "table", folder / "out")
     assert out.splitlines()[0].split()[:4] == ["controller.horizon", "demand", "status", "cost"]
     assert out.splitlines()[2].split()[:4] == ["1", "forecast", "done", "700"]
-    code, out, err = finish("table", folder / "out", "--column", "demand", "--column", "steps")
+    code, out, err = call("study", "table", folder / "out", "--column", "demand", "--column", "steps")
     assert out.splitlines()[1].split() == ["measured", "2"]
-    code, out, err = finish("table", folder / "out", "--column", "csot")
+    code, out, err = call("study", "table", folder / "out", "--column", "csot")
     assert (code, err) == (2, "error: the table has no column 'csot'; did you mean 'cost'?\n")
 
 
-def test_a_study_is_validated_without_running(folder: Path) -> None:
-    code = "from opfmodel import cli; cli.main()"
-    command = [sys.executable, "-c", code, "validate", str(folder / "study.yaml"), "--json"]
-    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+def test_a_study_is_validated_without_running(folder: Path, call: Call) -> None:
+    code, out, _ = call("validate", folder / "study.yaml", "--json")
+    assert code == 0
     assert json.loads(out) == {"valid": True, "runs": 6, "axes": {"controller.horizon": 3, "demand": 2}}
 
 
 def test_a_folder_is_locked_until_its_holder_dies(folder: Path) -> None:
     (folder / "slow.yaml").write_text(
-        f"scenario: {CASE5}\nvary: {{controller.regularisation: [1, 2, 3, 4]}}\n"
+        f"scenario: {CASE5}\nset: {{time.steps: 20}}\nvary: {{controller.regularisation: {list(range(1, 13))}}}\n"
     )
     out = folder / "out"
     holder = start("run", folder / "slow.yaml", "--out", out, "--workers", 0)
@@ -990,13 +990,19 @@ def test_a_full_disk_stops_the_study_and_keeps_finished_runs(folder: Path) -> No
 # Workers ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
-    """A study of 24 runs, and its results from an undisturbed serial execution."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    (folder / "study.yaml").write_text(CASE5_GRID)
-    outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
-    assert (outcome.total, outcome.done) == (24, 24)
+    """A study of 24 runs, and its results from an undisturbed serial execution; one for all processes of the tests."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    folder /= "undisturbed"
+    with FileLock(f"{folder}.lock"):
+        if not folder.exists():
+            folder.mkdir()
+            (folder / "study.yaml").write_text(CASE5_GRID)
+            outcome = run_study(read_study(folder / "study.yaml"), folder / "out", workers=0)
+            assert (outcome.total, outcome.done) == (24, 24)
     return folder / "study.yaml", results(folder / "out")
 
 
@@ -1009,7 +1015,7 @@ def test_killed_processes_lose_no_finished_run(
     out = tmp_path / "out"
     run = ("run", study, "--out", out, "--workers", 2, "--json")
     resumed = workers_killed = 0
-    for _ in range(14):
+    for _ in range(9):
         before = records_in(out)
         worker_dies_at, all_die_at = sorted(before + chance.randint(0, 8) for _ in range(2))
         process = start(*run)
@@ -1342,28 +1348,16 @@ def test_workers_that_run_out_of_memory_fail_only_their_run(folder: Path) -> Non
     assert "4: 3 done, 1 failed" in out
 
 
-def test_a_misspelt_vary_is_reported_as_a_key_of_a_study(folder: Path) -> None:
+def test_a_misspelt_vary_is_reported_as_a_key_of_a_study(folder: Path, call: Call) -> None:
     path = folder / "study.yaml"
     path.write_text("scenario: tiny.yaml\nvarry: {time.steps: [1, 2]}\n")
     for command in (("validate",), ("study", "run")):
-        code, _, err = finish_any(*command, path)
+        code, _, err = call(*command, path)
         message, line, _ = err.splitlines()
         assert (code, message) == (2, f"error: {path}:2:1: varry: unknown key; did you mean 'vary'?")
         assert line.endswith("varry: {time.steps: [1, 2]}")
-    code, _, err = finish_any("run", path)
+    code, _, err = call("run", path)
     assert (code, "this file is a study" in err) == (2, True)
-
-
-def finish_any(*arguments: object) -> tuple[int, str, str]:
-    """Run any command: exit status, standard output, standard error."""
-    done = subprocess.run(
-        [sys.executable, "-c", "from opfmodel import cli; cli.main()", *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    return done.returncode, done.stdout, done.stderr
 
 
 def test_reading_a_study_refuses_absolute_paths_of_data(folder: Path) -> None:
@@ -1442,7 +1436,7 @@ def test_axes_of_many_points_are_checked_in_linear_time(
     assert Label.compared < 10_000
 
 
-def test_columns_of_waiting_runs_can_be_selected(folder: Path) -> None:
+def test_columns_of_waiting_runs_can_be_selected(folder: Path, call: Call) -> None:
     """A table shows no error before the first run has finished, and lists every column that a run adds."""
     (folder / "study.yaml").write_text(
         "scenario: tiny.yaml\nset: {plant.mode: redispatch}\nvary: {time.steps: [1, 2]}\n"
@@ -1458,6 +1452,6 @@ def test_columns_of_waiting_runs_can_be_selected(folder: Path) -> None:
     for rows in (waiting, complete):
         with pytest.raises(ResultError, match=r"no column 'redispatch_mwh'.*'redispatched_mwh'"):
             shown_columns(rows, ["redispatch_mwh"])
-    code, out, err = finish_any("study", "table", folder / "out", "--column", "redispatched_mwh")
+    code, out, err = call("study", "table", folder / "out", "--column", "redispatched_mwh")
     assert (code, err) == (0, "")
     assert out.split() == ["redispatched_mwh"]
