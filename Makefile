@@ -11,6 +11,9 @@ BIN := .venv/bin
 SECONDS ?= 300
 PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
 
+# The processes that tests start need not compile this package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: run test test-slow fuzz check table bench generated pglib clean
 
 run: .venv/.run
