@@ -138,8 +138,13 @@ def test_effort_counts_every_round() -> None:
     assert plan.solution.seconds > sum(each.seconds for each in plan.rounds)
 
 
-@pytest.mark.parametrize("formulation", ["ac", "dc", "soc"])
-@pytest.mark.parametrize("available", [[0.0, 100.0], [0.01, 100.0], [100.0, 0.0]])
+@pytest.mark.parametrize(
+    ("formulation", "available"),
+    [
+        *((each, [0.0, 100.0]) for each in ("ac", "dc", "soc")),
+        *(("ac", available) for available in ([0.01, 100.0], [100.0, 0.0])),
+    ],
+)
 def test_a_unit_that_is_not_available_takes_no_part(formulation: str, available: list[float]) -> None:
     made = grid()
     made.sun = om.Generator("c", p=(0, 100), q=(-20, 20), cost=om.Polynomial(0, 100, 0))
@@ -209,8 +214,9 @@ def test_a_known_response_is_kept_while_it_is_one() -> None:
 # Flows after outages ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
-@pytest.mark.parametrize("case", ["case14_ieee", "case30_as"])
+@pytest.mark.parametrize(
+    ("case", "factor"), [*(("case14_ieee", factor) for factor in (0.7, 1.0, 1.3)), ("case30_as", 1.0)]
+)
 def test_ac_flows_after_outages_are_those_of_the_power_flow(case: str, factor: float) -> None:
     network = om.read_network(PGLIB.format(case))
     for name, branch in network.of(om.Branch).items():
