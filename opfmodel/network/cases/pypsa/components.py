@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -73,9 +74,7 @@ class Converter:
 
         PyPSA derives these in place; the network of the user is left as it is.
         """
-        import pypsa
-
-        grid = pypsa.Network()
+        grid = _empty().copy()
         for class_name in ("line_types", "transformer_types", "buses", "lines", "transformers", "generators"):
             table = self.source.static(class_name)
             if class_name == "generators":
@@ -277,6 +276,14 @@ class Converter:
         mva = float(self.source.static("buses").v_nom.at[row.bus]) ** 2  # of 1 S
         shunt = Shunt(str(row.bus), g=float(row.g) * mva, b=float(row.b) * mva, in_service=bool(row.active))
         self._add("shunt_impedances", member, shunt)
+
+
+@cache
+def _empty() -> Any:
+    """Return a network without components; a copy is made sooner than a new one, which reads files."""
+    import pypsa
+
+    return pypsa.Network()
 
 
 def _first(set_point: Value) -> float:
