@@ -23,13 +23,19 @@ def network(case: str) -> om.Network:
     return om.read_network(DATA / "pglib" / f"{case}.m")
 
 
+@functools.cache
+def solved(case: str, formulation: str = "ac", solver: str = "auto") -> om.Plan:
+    """The plan of one step, which several tests look at."""
+    return om.MultiStage(network(case), formulation=formulation, solver=solver).solve()
+
+
 def published(case: str, column: str) -> float:
     return float(BASELINE[case][column])
 
 
 @pytest.mark.parametrize("case", BASELINE)
 def test_ac_optimum(case: str) -> None:
-    plan = om.MultiStage(network(case)).solve()
+    plan = solved(case)
     assert plan.status == "locally_optimal"
     assert plan.objective == pytest.approx(published(case, "ac_usd_per_h"), rel=1e-4)
     report = check(network(case), plan.data)
@@ -48,7 +54,7 @@ def test_ac_optimum_in_rectangular_coordinates(case: str) -> None:
 
 @pytest.mark.parametrize("case", BASELINE)
 def test_dc_optimum(case: str) -> None:
-    plan = om.MultiStage(network(case), formulation="dc", solver="qp:clarabel").solve()
+    plan = solved(case, "dc", "qp:clarabel")
     if BASELINE[case]["dc_usd_per_h"] == "inf.":
         assert plan.status == "proven_infeasible"
         return
@@ -59,9 +65,9 @@ def test_dc_optimum(case: str) -> None:
 
 @pytest.mark.parametrize("case", BASELINE)
 def test_soc_gap(case: str) -> None:
-    plan = om.MultiStage(network(case), formulation="soc", solver="conic:clarabel").solve()
+    plan = solved(case, "soc", "conic:clarabel")
     assert plan.status == "globally_optimal"
-    exact = om.MultiStage(network(case)).solve().objective
+    exact = solved(case).objective
     assert plan.objective <= exact
     gap = 100 * plan.relaxation_gap(exact)
     assert gap == pytest.approx(published(case, "soc_gap_percent"), abs=0.1)
@@ -78,7 +84,7 @@ def test_another_back_end_finds_the_same(case: str) -> None:
         ("soc", "conic:clarabel"),
         ("dc-losses", "conic:clarabel"),
     ):
-        certified = om.MultiStage(network(case), formulation=formulation, solver=solver).solve()
+        certified = solved(case, formulation, solver)
         other = om.MultiStage(network(case), formulation=formulation, solver="ipopt").solve()
         assert other.optimal == certified.optimal, (formulation, other.termination, certified.termination)
         if certified.optimal:

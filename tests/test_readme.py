@@ -18,11 +18,22 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
+def with_short_studies(code: str, folder: Path) -> str:
+    """The code of a page with studies of short loops, whose results go to a folder."""
+    for name in re.findall(r"scenarios/studies/(\S+)\.yaml", code):
+        text = (SCENARIOS / "studies" / f"{name}.yaml").read_text(encoding="utf-8")
+        assert "\nset:" not in text
+        text = text.replace("scenario: ..", f"scenario: {SCENARIOS}") + "\nset: {time.steps: 3}\n"
+        (folder / f"{name}.yaml").write_text(text)
+        code = code.replace(f"scenarios/studies/{name}.yaml", str(folder / f"{name}.yaml"))
+    return code.replace('"results/', f'"{folder}/results/')
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: p.name)
-def test_python_of_a_page_runs(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_python_of_a_page_runs(page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     namespace: dict[str, object] = {}
     for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec"), namespace)
+        exec(compile(with_short_studies(block, tmp_path), str(page), "exec"), namespace)
     if page.name == "README.md":
         printed = capsys.readouterr().out
         assert "locally_optimal" in printed
