@@ -266,7 +266,7 @@ def element(draw: st.DrawFn, net: Any, bus: int) -> None:
 
 
 # Shrinking takes minutes, since every example is a power flow.
-@settings(max_examples=25, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=15, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(random_nets())
 def test_voltages_of_random_networks_are_those_of_runpp(net: Any) -> None:
     try:
