@@ -49,11 +49,11 @@ def test_warm_plans_have_the_cost_of_tight_cold_ones(name: str, steps: int) -> N
 
 
 def test_a_loop_of_warm_plans_has_the_cost_of_a_loop_of_tight_cold_ones() -> None:
-    made = scenario("case5-step", 20)
+    made = scenario("case5-step", 49)
     fast = made.simulate()
-    tight = scenario("case5-step", 20, TIGHT).problem
+    tight = scenario("case5-step", 49, TIGHT).problem
     state, steps = made.initial(), []
-    for time in range(20):
+    for time in range(49):
         plan = tight.solve(time, state)
         steps.append(om.NominalPlant().apply(plan))
         state = steps[-1].state
