@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -1069,13 +1070,18 @@ def kill_a_worker(pid: int, chance: random.Random) -> int:
 def running_scheduler(
     folder: Path, *options: str, env: dict[str, str] | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Start a scheduler with two workers on the loopback device; yield its address and process."""
+    """Start a scheduler with two workers on the loopback device; yield its address and process.
+
+    One at a time: with several beside each other, a machine of few processors is too slow for their timeouts.
+    """
     file, started = folder / "scheduler.json", []
+    alone = FileLock(Path(tempfile.gettempdir()) / f"opfmodel-tests-scheduler-{os.getuid()}.lock")
 
     def dask(*arguments: str) -> None:
         command = [sys.executable, "-m", "dask", *arguments, "--no-dashboard"]
         started.append(subprocess.Popen(command, cwd=folder, stderr=subprocess.DEVNULL, env=env))
 
+    alone.acquire()
     try:
         dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), *options)
         while not file.exists() or not file.read_text().endswith("}"):  # written in place, not renamed
@@ -1089,6 +1095,7 @@ def running_scheduler(
         for process in reversed(started):
             process.terminate()
             process.wait()
+        alone.release()
 
 
 @pytest.fixture
