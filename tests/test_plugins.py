@@ -176,6 +176,12 @@ def test_using_a_broken_plugin_reports_the_reason(broken: Path, tmp_path: Path) 
 # Used from a scenario file ----------------------------------------------------------------------
 
 
+def test_the_states_of_a_device_are_analysed(installed: Path) -> None:
+    found = om.analyze(om.load_scenario(SUBURB), ["steady_state"]).checks["steady_state"]
+    assert "commuters.level" in found.figures["state"]
+    assert found.figures["path"]["connected"]
+
+
 def test_a_scenario_uses_plugins_by_name(installed: Path) -> None:
     scenario = om.load_scenario(SUBURB)
     run = scenario.simulate()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,11 @@ import numpy.typing as npt
 
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.subject import Subject, free
+from opfmodel.model import Stage
+from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.units import scale
-from opfmodel.objectives.setpoint_tracking import Setpoints, SetpointTracking
+from opfmodel.objectives.base import Objective
+from solvers import total
 
 __all__ = ["check_steady_state"]
 
@@ -76,16 +80,13 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
     """
     target = subject.steady.x
     length = float(np.linalg.norm(x - target))
-    problem = subject.problem_of(1, exact=True)
-    fields = {(state.kind, f"{state.name}_setpoint"): state for state in subject.states}
-    points: dict[str, Any] = dict(subject.physical(x))
-    problem.objective = SetpointTracking(Setpoints(points), state_weight=1.0, input_weight=0.0)
+    nearest = _Nearest(subject)
+    problem = subject.problem_of(1, exact=True, objective=nearest)
     found: list[Array] = []
     plan = None
     for share in np.linspace(0.0, 1.0, _PIECES + 1):
-        wanted = target + share * (x - target)
-        expected = {key: wanted[state.where][:, None] / subject.unit for key, state in fields.items()}
-        plan = problem.solve(initial=free(problem), expected=expected, previous=plan)
+        wanted = nearest.fields(target + share * (x - target))
+        plan = problem.solve(initial=free(problem), expected=wanted, previous=plan)
         if not plan.optimal:
             break
         found.append(subject.x(plan)[:, 0])
@@ -103,3 +104,30 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
         "pieces": _PIECES,
         "initial_state_infeasible_by": away,
     }
+
+
+class _Nearest(Objective):
+    """The squared distance of the state from a point, which every solve states, p.u.²."""
+
+    def __init__(self, subject: Subject) -> None:
+        self.subject = subject
+
+    def fields(self, x: Array) -> dict[tuple[str, str], Array]:
+        """Return a point, p.u., as fields of the components."""
+        return {
+            (state.kind, f"{state.name}_point"): x[state.where][:, None] / self.subject.unit
+            for state in self.subject.states
+        }
+
+    def series(self, _: PerUnitNetwork) -> Mapping[tuple[str, str], Array]:
+        """Return the steady state."""
+        return self.fields(self.subject.steady.x)
+
+    def stage_cost(self, stage: Stage) -> Any:
+        """Return the sum of squares."""
+        cost: Any = 0.0
+        for state in self.subject.states:
+            of = getattr(stage, state.kind)
+            away = getattr(of, state.name) - getattr(of, f"{state.name}_point")
+            cost = cost + self.subject.unit**2 * total(away**2)
+        return cost
