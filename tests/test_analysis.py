@@ -214,6 +214,12 @@ def test_linear_costs_are_not_strictly_dissipative() -> None:
     assert abs(point["rotated_cost"]) <= finding.tolerance
 
 
+def test_a_weight_below_the_tolerance_decides_nothing() -> None:
+    finding = check_dissipativity(Subject(lossless(2, target=1e-7)))
+    assert (finding.verdict, finding.figures["alpha_certified"]) == (UNDECIDED, None)
+    assert "within the tolerance" in finding.explanation
+
+
 def test_a_stage_that_beats_the_price_of_the_steady_state() -> None:
     """Its feasibility and cost follow from the equations of the line alone."""
     subject = Subject(bukhsh(1.0))
@@ -273,6 +279,22 @@ def test_without_a_convex_relaxation_nothing_is_certified(problem: om.MultiStage
     finding = check_dissipativity(Subject(problem))
     assert finding.verdict is not HOLDS, cause
     assert (finding.figures["lower"], finding.figures["alpha_certified"]) == (None, None)
+
+
+def test_an_objective_without_a_cost_in_the_formulation() -> None:
+    """Reactive power is not tracked without reactive power; every stage is as cheap."""
+    problem = lossless(2, objective=om.SetpointTracking({"coal.qg": 3}))
+    finding = check_dissipativity(Subject(problem))
+    assert (finding.verdict, finding.figures["alpha"]) == (VIOLATED, 0.0)
+
+
+def test_why_nothing_is_certified_with_a_linear_cost() -> None:
+    problem = one_bus(2, target=None)
+    problem.network.update("gas", cost=om.Polynomial(0, 12, 0))
+    problem = om.MultiStage(problem.network, 2, formulation="copperplate")
+    finding = check_dissipativity(Subject(problem))
+    assert finding.verdict is UNDECIDED
+    assert "Q is not positive definite" in finding.explanation
 
 
 # Turnpike ---------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.rotated import Rotated
 from opfmodel.analysis.subject import State, Subject, again, free, random_starts
 from opfmodel.errors import IncompatibleError
+from opfmodel.network.quantities import in_currency
 from opfmodel.network.units import scale
 from opfmodel.plan import Plan
 from solvers import SolutionStatus, dual_bound
@@ -27,6 +28,7 @@ _STARTS = 25
 _ROUNDS = 12
 _CERTIFIED = {"tol_gap_rel": 1e-10, "tol_gap_abs": 1e-10}  # of Clarabel
 _APART = 1e-2  # p.u.², a stage that differs from the steady state
+_ROUNDING = 1e-12  # of the largest eigenvalue of Q, a smaller one is zero
 
 STATEMENT = (
     "Proposition 4.1: the system is strictly dissipative with a linear storage function, "
@@ -130,7 +132,9 @@ def check_dissipativity(subject: Subject) -> Finding:
     """
     tolerance = subject.tolerance()
     eigenvalues, quadratic = np.linalg.eigvalsh(subject.q), subject.quadratic
-    least = max(float(eigenvalues[0]), 0.0)
+    definite = eigenvalues[0] > _ROUNDING * eigenvalues[-1]
+    least = float(eigenvalues[0]) if definite else 0.0
+    money = in_currency("$/h", subject.problem.network.currency)
     search = _Search(subject, starts=_STARTS)
     alpha, limiting = search.largest_alpha(1.5 * least or 1.0, tolerance)
     at = min(alpha, least)
@@ -138,6 +142,9 @@ def check_dissipativity(subject: Subject) -> Finding:
     convex = _Search(subject, relaxed=True)
     lower = convex.lowest(at)
     certified = _certified(convex, at, lower, tolerance)
+    reach = float(np.sum(subject.capacity**2)) or float(np.sum(subject.steady.x**2)) or 1.0
+    if certified is not None and certified * reach <= tolerance:
+        certified = None  # the tolerance alone would certify it
     along = _along(subject, at)
     figures: dict[str, Any] = {
         "storage_function": {
@@ -164,7 +171,7 @@ def check_dissipativity(subject: Subject) -> Finding:
             "state": subject.physical(broken.x),
         }
         what = (
-            f"a feasible stage is {-broken.rotated:.3g} $/h cheaper than the steady state at its prices"
+            f"a feasible stage is {-broken.rotated:.3g} {money} cheaper than the steady state at its prices"
             if broken.rotated < -tolerance
             else "another stage is as cheap as the steady state at its prices"
         )
@@ -174,13 +181,25 @@ def check_dissipativity(subject: Subject) -> Finding:
         why = f"the relaxation certifies alpha = {certified:.4g}"
     else:
         verdict = Verdict.UNDECIDED
-        why = (
-            f"no start violates alpha = {alpha:.4g}, but the relaxation leaves a gap: the minimum is between "
-            f"{figures['lower']:.4g} and {figures['upper']:.4g} $/h"
-            if lower is not None and upper is not None
-            else f"no start violates alpha = {alpha:.4g}, but no relaxation could be solved"
-        )
+        if alpha == 0.0:
+            why = "alpha = 0: stages beside the steady state are as cheap, to the tolerance"
+        else:
+            why = f"no start violates alpha = {alpha:.4g}, but {_doubt(lower, upper, at, tolerance, money)}"
     return Finding(verdict, STATEMENT, why, tolerance, figures)
+
+
+def _doubt(lower: _Stage | None, upper: _Stage | None, alpha: float, tolerance: float, money: str) -> str:
+    """Return why the relaxation certifies nothing."""
+    if lower is None or upper is None:
+        return "no relaxation could be solved"
+    if alpha == 0.0:
+        return "Q is not positive definite, so that no relaxation is convex"
+    if lower.bound >= -tolerance:
+        return "what it adds to the rotated cost is within the tolerance"
+    return (
+        f"the relaxation leaves a gap: the minimum is between {lower.bound:.4g} and "
+        f"{upper.value(alpha):.4g} {money}"
+    )
 
 
 def _certified(convex: _Search, alpha: float, lowest: _Stage | None, tolerance: float) -> float | None:

@@ -51,7 +51,8 @@ class Rotated(Objective):
     def stage_cost(self, stage: Stage) -> Any:
         """Return the cost of every stage."""
         subject = self.subject
-        cost = self.objective.stage_cost(stage)
+        own = self.objective.stage_cost(stage)
+        cost = 0.0 if own is None else own
         for state in subject.states:
             of = getattr(stage, state.kind)
             x = subject.unit * getattr(of, state.name)
@@ -62,4 +63,4 @@ class Rotated(Objective):
             if self.alpha:
                 away = x - subject.steady.x[state.where][:, None]
                 cost = cost - self.alpha * total(away**2)
-        return cost
+        return own if isinstance(cost, float) else cost
