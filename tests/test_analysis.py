@@ -14,6 +14,7 @@ from conftest import SCENARIOS, Call, two_bus
 import opfmodel as om
 from opfmodel.analysis.arcs import estimated_arc
 from opfmodel.analysis.dissipativity import _Search, check_dissipativity
+from opfmodel.analysis.figure import turnpike_figure
 from opfmodel.analysis.finding import Verdict
 from opfmodel.analysis.performance_bound import check_performance_bound
 from opfmodel.analysis.practical_stability import check_practical_stability
@@ -359,6 +360,22 @@ def test_losses_delay_a_turnpike() -> None:
     assert (whole.verdict, whole.figures["outside"][-1]) == (HOLDS, 7)
 
 
+def test_arcs_of_unknown_length_deny_nothing() -> None:
+    """A storage that can only charge has no arc whose curvature could be measured."""
+    finding = check_turnpike(Subject(lossless(cell={"power": (0, 40)})), horizons=[3, 6])
+    assert (finding.verdict, finding.figures["outside"]) == (UNDECIDED, [3, 6])
+    assert "could not be estimated" in finding.explanation
+
+
+def test_the_figure_without_plans_from_full_storages() -> None:
+    """Full storages are the steady state."""
+    objective = om.Economic() + om.StateOfChargeTracking(share=1.0, weight=50.0)
+    finding = check_turnpike(Subject(lossless(objective=objective)), horizons=[3, 6])
+    assert list(finding.figures["distance"]) == ["empty", "half full"]
+    titles = [axis.get_title() for axis in turnpike_figure(finding, "one-bus").axes]
+    assert titles[0] == "one-bus: half full storages"
+
+
 # Practical stability ----------------------------------------------------------------------------
 
 
@@ -609,14 +626,17 @@ def test_a_steady_state_on_the_boundary_is_printed(call: Call, scenario: Path) -
     assert "limits that bind in the steady state\n  coal: pg at its maximum of 100 MW\n" in out
 
 
-def test_without_a_steady_state_the_other_checks_are_undecided(call: Call, scenario: Path) -> None:
+def test_without_a_steady_state_the_other_checks_are_undecided(
+    call: Call, scenario: Path, tmp_path: Path
+) -> None:
     only = [word for name in ("steady_state", "dissipativity", "turnpike") for word in ("--only", name)]
-    code, out, _ = call("analyze", scenario, "--variant", "beyond", *only, "--json")
+    code, out, _ = call("analyze", scenario, "--variant", "beyond", *only, "--json", "--out", tmp_path)
     checks = json.loads(out)["checks"]
     assert code == 1
     assert [check["verdict"] for check in checks.values()] == ["violated", "undecided", "undecided"]
     for check in checks.values():
         assert check["explanation"] == "step 0: no steady state exists: bus a lacks 100.0 MW at hour 0"
+    assert json.loads((tmp_path / "analysis.json").read_text())["checks"] == checks
 
 
 def test_results_are_written_beside_other_files(call: Call, scenario: Path, tmp_path: Path) -> None:

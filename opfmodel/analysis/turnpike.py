@@ -102,7 +102,7 @@ def check_turnpike(
             for name, of in counts.items()
         },
         "base_steps_per_stage": merged,
-        "expected_arc": None if not np.isfinite(expected) else expected,
+        "expected_arc": expected if np.isfinite(expected) else None,
         "curvature": None if arc is None else {"generation": arc.generation, "energy": arc.energy},
         "distance": profiles,
     }
@@ -127,13 +127,17 @@ def _judged(figures: dict[str, Any], expected: float, own: int) -> Finding:
     )
     if growth <= _SETTLED:
         verdict = Verdict.HOLDS
-    elif (growth >= _GROWING and done[-2] >= _BEYOND * expected) or not np.isfinite(expected):
+    elif np.isinf(expected) or (growth >= _GROWING and done[-2] >= _BEYOND * expected):
         verdict = Verdict.VIOLATED
-        if not np.isfinite(expected):
+        if np.isinf(expected):
             what += "; stored energy has no cost, so that nothing draws it to one value"
     else:
         verdict = Verdict.UNDECIDED
-        what += f"; the arcs are estimated to be {expected:.0f} stages long"
+        what += (
+            "; the length of the arcs could not be estimated"
+            if np.isnan(expected)
+            else f"; the arcs are estimated to be {expected:.0f} stages long"
+        )
     return Finding(verdict, STATEMENT, what, _SETTLED, figures)
 
 
@@ -145,7 +149,10 @@ def _starts(subject: Subject, ball: float) -> dict[str, Array]:
 
 
 def _hours(arc: Arc | None, ball: float, farthest: float) -> float:
-    return 0.0 if arc is None or farthest <= ball else arc.hours(farthest, ball)
+    """Return the estimated length of an arc, hours; NaN if it is unknown."""
+    if farthest <= ball:
+        return 0.0
+    return np.nan if arc is None else arc.hours(farthest, ball)
 
 
 def _sweep(stages: int, expected: float) -> list[int]:

@@ -83,14 +83,15 @@ def _progress(visible: bool) -> Iterator[Callable[[str], None]]:
 
 
 def _write(found: Analysis, folder: Path) -> None:
-    """Write the result, and the figure of the turnpike if it was checked."""
+    """Write the result, and the figure of the turnpike if plans were found."""
     from opfmodel.analysis.figure import turnpike_figure
     from opfmodel.results.figures import write_figures
     from opfmodel.results.store import write_record
 
     write_record(found.as_dict(), folder / "analysis.json")
-    if "turnpike" in found.checks:
-        write_figures({"turnpike": turnpike_figure(found.checks["turnpike"], found.scenario)}, folder)
+    turnpike = found.checks.get("turnpike")
+    if turnpike is not None and turnpike.figures:
+        write_figures({"turnpike": turnpike_figure(turnpike, found.scenario)}, folder)
 
 
 def _show(found: Analysis) -> None:
