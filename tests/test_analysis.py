@@ -399,6 +399,17 @@ def test_loops_that_still_move_decide_nothing() -> None:
     assert "still on their way" in finding.explanation
 
 
+@pytest.mark.parametrize(
+    ("options", "cause"),
+    [({"target": None}, "stored energy has no cost"), ({"end": om.End(price=20)}, "final energy")],
+    ids=["no cost", "price"],
+)
+def test_why_loops_settle_elsewhere(options: dict[str, Any], cause: str) -> None:
+    finding = check_practical_stability(Subject(lossless(2, **options)), horizons=[2], steps=4)
+    assert finding.verdict is VIOLATED
+    assert cause in finding.explanation
+
+
 # Recursive feasibility --------------------------------------------------------------------------
 
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from opfmodel.analysis.arcs import estimated_arc
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.subject import Loop, Subject
 from opfmodel.analysis.turnpike import radius
+from opfmodel.plan import End
 
 __all__ = ["check_practical_stability"]
 
@@ -84,11 +86,21 @@ def check_practical_stability(
     if any(settled[name][-1] for name in outside):
         why = (
             f"with a horizon of {swept[-1]} stages the loop from {outside[0]} storages settles "
-            f"{worst[-1]:.3g} p.u. away from the steady state: the horizon is too short"
+            f"{worst[-1]:.3g} p.u. away from the steady state{_cause(subject)}"
         )
         return Finding(Verdict.VIOLATED, STATEMENT, why, near, figures)
     why = f"after {length} steps the loops are still on their way, {worst[-1]:.3g} p.u. away"
     return Finding(Verdict.UNDECIDED, STATEMENT, why, near, figures)
+
+
+def _cause(subject: Subject) -> str:
+    """Return why a loop settles elsewhere."""
+    if subject.problem.end != End():
+        return "; its plans have a condition or price on their final energy"
+    arc = estimated_arc(subject)
+    if arc is not None and arc.rate == 0.0:
+        return "; stored energy has no cost, so that nothing draws it to one value"
+    return ": the horizon is too short"
 
 
 def _away(subject: Subject, loop: Loop) -> np.ndarray[Any, np.dtype[np.float64]]:
