@@ -23,6 +23,7 @@ from opfmodel.analysis.steady_state import check_steady_state
 from opfmodel.analysis.subject import NoSteadyStateError, Subject
 from opfmodel.analysis.turnpike import check_turnpike
 from opfmodel.errors import ModelError
+from opfmodel.simulation import Outage, Outages
 
 HOLDS, VIOLATED, UNDECIDED = Verdict.HOLDS, Verdict.VIOLATED, Verdict.UNDECIDED
 
@@ -497,6 +498,32 @@ def test_a_margin_that_no_solve_found_decides_nothing(monkeypatch: pytest.Monkey
     finding = check_recursive_feasibility(problem, run)
     assert (finding.verdict, finding.figures["undecided_steps"]) == (UNDECIDED, [1])
     assert finding.figures["least_up"] is None
+
+
+def test_demand_between_two_margins_may_not_be_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Demand that can be served need not be an interval; here margins on both sides are pretended."""
+    monkeypatch.setattr(Margins, "largest", lambda *_: 0.5)
+    problem = lossless(1, demand=[150.0, 500.0])
+    run = om.simulate(problem, steps=2, initial={"pg": [110, 40], "e": [50]})
+    finding = check_recursive_feasibility(problem, run)
+    assert (finding.verdict, finding.figures["infeasible_steps"]) == (VIOLATED, [1])
+
+
+def test_reactive_demand_alone_can_be_infeasible() -> None:
+    grid = one_bus(ramp=None).network
+    problem = om.MultiStage(grid, 1, profiles={"town.p": [0, 0], "town.q": [10, 300]})
+    finding = check_recursive_feasibility(problem, om.simulate(problem, steps=2))
+    assert (finding.verdict, finding.figures["infeasible_steps"]) == (VIOLATED, [1])
+
+
+def test_margins_without_a_component_that_is_out_of_service() -> None:
+    """Coal can rise from 110 to 160 MW, and the storage gives 40 MW."""
+    problem = lossless(1, demand=[150.0, 150.0], outages=["gas"])
+    margins = Margins(problem, Outages((Outage("gas", 1, 1),)))
+    state = {"pg": [110, 0], "e": [50]}
+    for time, margin in ((0, 50 + 50 + 40 - 40), (1, 50 + 40 - 40)):
+        found = margins.largest(time, state, np.array([100.0]), np.zeros(1))
+        assert 100 * found == pytest.approx(margin, rel=1e-6)
 
 
 # Performance bound ------------------------------------------------------------------------------

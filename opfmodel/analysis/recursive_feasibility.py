@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,8 +14,9 @@ from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.growth import DIRECTIONS, GrowingDemand, LargestGrowth
 from opfmodel.analysis.subject import EXACT
 from opfmodel.errors import IncompatibleError
-from opfmodel.plan import Initial, MultiStage, Plan
-from opfmodel.simulation import Run
+from opfmodel.plan import End, Initial, MultiStage, Plan
+from opfmodel.plan.request import Limits, Request
+from opfmodel.simulation import Outages, Run
 from solvers import SolutionStatus, dual_bound
 
 __all__ = ["Margins", "check_recursive_feasibility"]
@@ -39,15 +40,18 @@ class Margins:
     ----------
     problem
         The problem of the controller; its ramps, limits and storages count, not its costs.
+    outages
+        The outages that happen.
     """
 
     problem: MultiStage
+    outages: Outages = field(default_factory=Outages)
 
     @cached_property
     def _next(self) -> MultiStage:
         made = nominal_problem(self.problem, 1, LargestGrowth(self.problem.objective))
         made.generator_delay, made.regularisation = 0, 0.0
-        made.devices = [*made.devices, GrowingDemand()]
+        made.devices, made.outages = [*made.devices, GrowingDemand()], self.outages.components
         made.solver, made.options = "ipopt", EXACT
         return made
 
@@ -68,6 +72,11 @@ class Margins:
         plan = self._solve(self._next, time, state, p, q)
         return -plan.objective / self.problem.step if plan.optimal else None
 
+    def feasible(self, time: int, state: Initial) -> bool:
+        """Return whether a state was found in which the demand of a step is served."""
+        none = np.zeros(len(self.problem.arrays.bus))
+        return self._solve(self._next, time, state, none, none, {"scaling": (0.0, 0.0)}).optimal
+
     def bound(self, time: int, state: Initial, p: Array, q: Array) -> float | None:
         """Return an upper bound on the largest scaling from a relaxation; -inf if it is proven infeasible."""
         try:
@@ -79,10 +88,14 @@ class Margins:
         least = dual_bound(plan.solution)
         return -least / self.problem.step if np.isfinite(least) else None
 
-    def _solve(self, problem: MultiStage, time: int, state: Initial, p: Array, q: Array) -> Plan:
+    def _solve(
+        self, problem: MultiStage, time: int, state: Initial, p: Array, q: Array, limits: Limits | None = None
+    ) -> Plan:
         base = self.problem.arrays.base_mva
         direction = {key: values[:, None] / base for key, values in zip(DIRECTIONS, (p, q), strict=True)}
-        return problem.solve(time, initial=state, expected=direction)
+        out = self.outages.out(time, self.problem.step)
+        request = Request(time, state, End(), direction, problem.horizon, out)
+        return problem.solve_once(request, limits=limits)
 
 
 def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Any = lambda _: None) -> Finding:
@@ -93,20 +106,20 @@ def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Any = la
     run
         The closed loop.
     """
-    margins = Margins(problem)
+    margins = Margins(problem, run.outages)
     tried = len(run.steps) + (run.status != "done")  # the step at which a loop broke off counts too
     p, q = _demand(problem, tried)
     found = []
     for time in range(1, tried):
         state = _state(problem, run, time)
         change = p[time] - p[time - 1], q[time] - q[time - 1]
-        total = float(np.abs(p[time]).sum())
         found.append(
             _Step(
                 time,
                 _plus_one(margins.largest(time, state, *change)) if np.any(change) else None,
-                _times(margins.largest(time, state, p[time], q[time]), total),
-                _times(margins.largest(time, state, -p[time], -q[time]), total),
+                margins.largest(time, state, p[time], q[time]),
+                margins.largest(time, state, -p[time], -q[time]),
+                float(np.abs(p[time]).sum()),
             )
         )
         advance(f"recursive feasibility: step {time} of {tried - 1}")
@@ -122,19 +135,31 @@ class _Step:
     change
         Largest multiple of the change of demand since the last step; None if it does not change.
     up, down
-        Largest increase and decrease of all demand in proportion, MW; None if no solve succeeded.
+        Largest increase and decrease of all demand, as a share of it; None if no solve succeeded.
+    total
+        Sum of the magnitudes of active demand, MW.
     """
 
     time: int
     change: float | None
     up: float | None
     down: float | None
+    total: float
+
+    @property
+    def up_mw(self) -> float | None:
+        """Largest increase of demand, MW."""
+        return _times(self.up, self.total)
+
+    @property
+    def down_mw(self) -> float | None:
+        """Largest decrease of demand, MW."""
+        return _times(self.down, self.total)
 
 
 def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step], advance: Any) -> Finding:
     p, q = _demand(problem, len(found) + 1)
-    served = {step.time: _served(step, float(np.abs(p[step.time]).sum())) for step in found}
-    doubtful = [time for time, feasible in served.items() if not feasible]
+    doubtful = [step.time for step in found if not _served(margins, step, _state(problem, run, step.time))]
     proven = []
     for time in doubtful:
         state = _state(problem, run, time)
@@ -144,14 +169,14 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
     figures: dict[str, Any] = {
         "steps": len(found),
         "change": [step.change for step in found],
-        "up_mw": [step.up for step in found],
-        "down_mw": [step.down for step in found],
+        "up_mw": [step.up_mw for step in found],
+        "down_mw": [step.down_mw for step in found],
         "infeasible_steps": proven,
         "undecided_steps": [time for time in doubtful if time not in proven],
         "run": run.status,
     }
-    for side in ("change", "up", "down"):
-        known = {step.time: getattr(step, side) for step in found if getattr(step, side) is not None}
+    for side, name in (("change", "change"), ("up", "up_mw"), ("down", "down_mw")):
+        known = {step.time: getattr(step, name) for step in found if getattr(step, name) is not None}
         at = min(known, key=lambda time: known[time]) if known else None
         figures[f"least_{side}"] = None if at is None else {"value": known[at], "step": at}
     if figures["least_up"] is not None:
@@ -176,9 +201,15 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
     return Finding(Verdict.HOLDS, STATEMENT, why, _TOLERANCE, figures)
 
 
-def _served(step: _Step, total: float) -> bool:
-    """Whether the demand of a step can be served: it lies between the largest and the smallest that can."""
-    return all(side is not None and side >= -_TOLERANCE * total for side in (step.up, step.down))
+def _served(margins: Margins, step: _Step, state: Initial) -> bool:
+    """Return whether the demand of a step can be served.
+
+    It lies between the largest and the smallest that can, and is one of them or can be served itself: what
+    can be served need not be an interval.
+    """
+    if step.up is None or step.down is None or min(step.up, step.down) < -_TOLERANCE:
+        return False
+    return min(step.up, step.down) <= _TOLERANCE or margins.feasible(step.time, state)
 
 
 def _by_bus(problem: MultiStage, margins: Margins, state: Initial, time: int, advance: Any) -> dict[str, Any]:
@@ -199,8 +230,8 @@ def _demand(problem: MultiStage, steps: int) -> tuple[Array, Array]:
     """Return active and reactive demand at the buses, ``(steps, buses)`` in MW and MVAr."""
     network = problem.window(0, steps)
     totals = []
-    for field in ("p", "q"):
-        values = network.at_buses("load", network.load.arrays[field]) * network.base_mva
+    for which in ("p", "q"):
+        values = network.at_buses("load", network.load.arrays[which]) * network.base_mva
         totals.append(np.broadcast_to(values, (len(network.bus), steps)).T)
     return totals[0], totals[1]
 
