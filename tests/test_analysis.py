@@ -584,6 +584,15 @@ def test_a_plan_that_reaches_the_end_of_the_data(at_end: str, stages: int) -> No
     )
 
 
+def test_a_bound_that_no_convex_problem_denies_is_undecided() -> None:
+    """A storage that may not charge and discharge at once is not convex, and has no proven lower bound."""
+    cell = {"power": 0.01, "charge_efficiency": 0.9, "exclusive": True}
+    problem = one_bus(2, demand=[150.0, 260.0], ramp=55.0, target=None, cell=cell)
+    finding = check_performance_bound(Subject(problem))
+    assert finding.figures["value"] > finding.figures["bound"] + 1
+    assert finding.verdict is UNDECIDED
+
+
 # The function and the command -------------------------------------------------------------------
 
 SCENARIO = """\

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from opfmodel.analysis.bound import certify
-from opfmodel.analysis.constant import nominal_problem
+from opfmodel.analysis.constant import convex_problem, nominal_problem
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.subject import EXACT, TIGHT, Subject, free
 from opfmodel.errors import IncompatibleError
@@ -32,7 +32,8 @@ _VARIANTS = ("as it is", "without ramps", "without storage", "without ramps and 
 def check_performance_bound(subject: Subject) -> Finding:
     """Compare the cost of the plan from the steady state with the sum of the steady states' costs.
 
-    With and without ramps, and with and without storage power. Nothing is asked of the end of the horizon.
+    With and without ramps, and with and without storage power. Nothing is asked of the end of the horizon,
+    which is that of the data if these end before.
     """
     problem = nominal_problem(subject.problem, _stages(subject))
     problem.solver, problem.options = "ipopt", TIGHT
@@ -64,16 +65,18 @@ def check_performance_bound(subject: Subject) -> Finding:
         return Finding(
             Verdict.UNDECIDED, STATEMENT, f"the plan is {own.status}: {own.termination}", tolerance, figures
         )
-    saved = _compared(own.objective, bound, tolerance)
+    saved = _compared(own.objective, bound, tolerance, problem.network.currency)
     if own.objective <= bound + tolerance:
         assumed = "" if not ramps else "; ramps bind, so that the proposition itself does not apply"
         return Finding(Verdict.HOLDS, STATEMENT, saved + assumed, tolerance, figures)
     free_of = values["without ramps"]
-    cause = (
-        f"; without ramps it holds, and the ramps of {', '.join(ramps[:3])} bind"
-        if free_of is not None and free_of <= bound + tolerance
-        else "; it fails without ramps too: stored energy must differ from one steady state to the next"
-    )
+    if free_of is None:
+        cause = ""
+    elif free_of <= bound + tolerance:
+        binding = f", and the ramps of {', '.join(ramps[:3])} bind" if ramps else ""
+        cause = f"; without ramps it holds{binding}"
+    else:
+        cause = "; it fails without ramps too: stored energy must differ from one steady state to the next"
     proven = _least(own) > bound + tolerance
     verdict = Verdict.VIOLATED if proven else Verdict.UNDECIDED
     return Finding(verdict, STATEMENT, saved + cause, tolerance, figures)
@@ -88,13 +91,15 @@ def _stages(subject: Subject) -> int:
     return min(subject.stages, known - subject.step)
 
 
-def _compared(value: float, bound: float, tolerance: float) -> str:
+def _compared(value: float, bound: float, tolerance: float, currency: str) -> str:
     """Return in words how V_N compares with the bound."""
     if abs(bound - value) <= tolerance:
         return "V_N equals the bound"
     side = "below" if value < bound else "above"
     far = (
-        f"{abs(bound - value) / abs(bound):.3%}" if abs(bound) > tolerance else f"{abs(bound - value):.4g} $"
+        f"{abs(bound - value) / abs(bound):.3%}"
+        if abs(bound) > tolerance
+        else f"{abs(bound - value):.4g} {currency}"
     )
     return f"V_N is {far} {side} the bound"
 
@@ -134,9 +139,11 @@ def _binding_ramps(plan: Plan) -> list[str]:
 
 def _least(plan: Plan) -> float:
     """Return a lower bound on the cost of any plan of the same problem; minus infinity if none is known."""
-    if plan.problem.formulation.relaxed_by is None:
-        return dual_bound(plan.solution)
     try:
-        return certify(plan).lower
+        if plan.problem.formulation.relaxed_by is not None:
+            return certify(plan).lower
+        problem = plan.problem.variant(elastic=None)
+        problem.regularisation = 0.0
+        return dual_bound(convex_problem(problem).solve_once(plan.request).solution)
     except IncompatibleError:
         return -np.inf
