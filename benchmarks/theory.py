@@ -7,6 +7,7 @@ runs the checks of the named systems, by default of all, and writes the page fro
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Iterable
@@ -94,7 +95,13 @@ def _turnpike(results: dict[str, Checks]) -> str:
     for system, found in _of(results, "turnpike"):
         swept = [", ".join(map(str, found[key])) for key in ("horizons", "outside")]
         rows.append(
-            [system, found["verdict"], f"{found['epsilon']:.3g}", f"{found['expected_arc']:.0f}", *swept]
+            [
+                system,
+                found["verdict"],
+                f"{found['epsilon']:.3g}",
+                f"{found['expected_arc'] or math.inf:.0f}",
+                *swept,
+            ]
         )
     return table(head, rows)
 

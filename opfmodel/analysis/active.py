@@ -32,14 +32,14 @@ def active_limits(plan: Plan) -> tuple[str, ...]:
 def _bounds(plan: Plan) -> Iterator[str]:
     solution, model = plan.solution, plan.model
     for name, source in model.bounds.items():
-        if name not in solution.program.variables:
-            continue
+        published = {**model.published, **model.reported}.get(name)
+        if published is None or name not in solution.program.variables:
+            continue  # rows, and parts of a quantity, such as charging and discharging
         names = model.network.tables[source.kind].names
         block = solution.program.variables[name]
         value = block.read(solution.x)[:, 0]
         low, high = (block.read(side)[:, 0] for side in (solution.instance.lower, solution.instance.upper))
-        published = {**model.published, **model.reported}.get(name)
-        unit = "" if published is None else published.unit
+        unit = published.unit
         for item, at, least, most in zip(names, value, low, high, strict=True):
             if least == most:
                 continue  # given, not limited

@@ -16,6 +16,7 @@ from opfmodel.analysis.performance_bound import STATEMENT as PERFORMANCE
 from opfmodel.analysis.performance_bound import check_performance_bound
 from opfmodel.analysis.practical_stability import STATEMENT as STABILITY
 from opfmodel.analysis.practical_stability import check_practical_stability
+from opfmodel.analysis.progress import Advance, silent
 from opfmodel.analysis.recursive_feasibility import STATEMENT as FEASIBILITY
 from opfmodel.analysis.recursive_feasibility import check_recursive_feasibility
 from opfmodel.analysis.steady_state import STATEMENT as STEADY
@@ -66,7 +67,7 @@ class _Work:
     scenario: Scenario
     step: int
     horizons: Sequence[int] | None
-    advance: Callable[[str], None]
+    advance: Advance
 
     @cached_property
     def subject(self) -> Subject:
@@ -104,7 +105,7 @@ def analyze(
     *,
     step: int = 0,
     horizons: Sequence[int] | None = None,
-    advance: Callable[[str], None] = lambda _: None,
+    advance: Advance = silent,
 ) -> Analysis:
     """Check by numbers what the theory of economic NMPC promises for a scenario.
 

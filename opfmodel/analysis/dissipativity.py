@@ -91,9 +91,11 @@ class _Search:
             except IncompatibleError:
                 return None
         plan = problem.solve(initial=free(problem))
-        plans = [plan, *(again(plan, start) for start in random_starts(plan, self.starts))]
+        plans = [plan]
+        for number, start in enumerate(random_starts(plan, self.starts), start=1):
+            plans.append(again(plan, start))
+            self.subject.advance(f"rotated cost for alpha = {alpha:.3g}", number, self.starts)
         found = [self._stage(each, alpha) for each in plans if each.optimal]
-        self.subject.advance("dissipativity")
         return min(found, key=lambda stage: stage.value(alpha), default=None)
 
     def _stage(self, plan: Plan, alpha: float) -> _Stage:

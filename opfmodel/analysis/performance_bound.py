@@ -49,7 +49,7 @@ def check_performance_bound(subject: Subject) -> Finding:
     for name in _VARIANTS:
         request = Request(subject.step, subject.initial(subject.rest), End(), None, problem.horizon)
         plans[name] = problem.solve_once(request, limits=_limits(problem, name))
-        subject.advance(f"performance bound: the plan {name}")
+        subject.advance(f"performance bound: plan {name}", len(plans), len(_VARIANTS))
     values = {name: plan.objective if plan.optimal else None for name, plan in plans.items()}
     own = plans["as it is"]
     ramps = [] if not own.optimal else _binding_ramps(own)
@@ -113,7 +113,7 @@ def _steady_costs(subject: Subject, stages: int) -> np.ndarray[Any, np.dtype[np.
     for time in range(subject.step, subject.step + stages):
         plan = problem.solve(time, initial=free(problem), end=End(cyclic=True))
         costs.append(plan.objective / problem.step)
-        subject.advance("performance bound: steady states")
+        subject.advance("performance bound: steady states", len(costs), stages)
     return np.array(costs)
 
 

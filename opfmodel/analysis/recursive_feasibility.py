@@ -12,6 +12,7 @@ import numpy.typing as npt
 from opfmodel.analysis.constant import convex_problem, nominal_problem
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.growth import DIRECTIONS, GrowingDemand, LargestGrowth
+from opfmodel.analysis.progress import Advance, silent
 from opfmodel.analysis.subject import EXACT
 from opfmodel.errors import IncompatibleError
 from opfmodel.plan import End, Initial, MultiStage, Plan
@@ -98,7 +99,7 @@ class Margins:
         return problem.solve_once(request, limits=limits)
 
 
-def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Any = lambda _: None) -> Finding:
+def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Advance = silent) -> Finding:
     """Check that the next step is feasible from every state of a closed loop, and by what margin.
 
     Parameters
@@ -122,7 +123,7 @@ def check_recursive_feasibility(problem: MultiStage, run: Run, advance: Any = la
                 float(np.abs(p[time]).sum()),
             )
         )
-        advance(f"recursive feasibility: step {time} of {tried - 1}")
+        advance("recursive feasibility: steps", time, tried - 1)
     return _judged(problem, run, margins, found, advance)
 
 
@@ -157,7 +158,7 @@ class _Step:
         return _times(self.down, self.total)
 
 
-def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step], advance: Any) -> Finding:
+def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step], advance: Advance) -> Finding:
     p, q = _demand(problem, len(found) + 1)
     doubtful = [step.time for step in found if not _served(margins, step, _state(problem, run, step.time))]
     proven = []
@@ -212,7 +213,9 @@ def _served(margins: Margins, step: _Step, state: Initial) -> bool:
     return min(step.up, step.down) <= _TOLERANCE or margins.feasible(step.time, state)
 
 
-def _by_bus(problem: MultiStage, margins: Margins, state: Initial, time: int, advance: Any) -> dict[str, Any]:
+def _by_bus(
+    problem: MultiStage, margins: Margins, state: Initial, time: int, advance: Advance
+) -> dict[str, Any]:
     """Return the margins of single buses, MW of active demand in either direction."""
     names, base = problem.arrays.bus.names, problem.network.base_mva
     found: dict[str, dict[str, float | None]] = {"up_mw": {}, "down_mw": {}}
@@ -222,7 +225,7 @@ def _by_bus(problem: MultiStage, margins: Margins, state: Initial, time: int, ad
             direction[number] = sign * base * _EACH
             largest = margins.largest(time, state, direction, np.zeros(len(names)))
             found[side][name] = _times(largest, base * _EACH)
-        advance(f"recursive feasibility: bus {number + 1} of {len(names)}")
+        advance("recursive feasibility: buses", number + 1, len(names))
     return found
 
 

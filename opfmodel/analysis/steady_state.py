@@ -90,7 +90,7 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
         if not plan.optimal:
             break
         found.append(subject.x(plan)[:, 0])
-        subject.advance("path to the steady state")
+        subject.advance("path to the steady state", len(found), _PIECES + 1)
     steps = np.linalg.norm(np.diff(found, axis=0), axis=1) if len(found) > 1 else np.zeros(0)
     whole = len(found) == _PIECES + 1
     longest = float(steps.max(initial=0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +11,7 @@ import scipy.sparse as sp
 
 from opfmodel.analysis.active import active_limits
 from opfmodel.analysis.constant import AtStep, constant_problem, convex_problem
+from opfmodel.analysis.progress import Advance, silent
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, Initial, MultiStage, Plan
@@ -121,12 +121,10 @@ class Subject:
     step
         Step whose demand, limits and costs are held constant.
     advance
-        Called as work progresses, with what is done now.
+        Called as work progresses.
     """
 
-    def __init__(
-        self, problem: MultiStage, step: int = 0, advance: Callable[[str], None] = lambda _: None
-    ) -> None:
+    def __init__(self, problem: MultiStage, step: int = 0, advance: Advance = silent) -> None:
         self.problem, self.step, self.advance = problem, step, advance
 
     def problem_of(
@@ -337,7 +335,7 @@ class Subject:
             cost = problem.objective.stage_cost(plan.stage)
             costs.append(0.0 if cost is None else float(cost[0]))
             state = plan.next_state()
-            self.advance(f"closed loop with a horizon of {stages}: step {time + 1} of {steps}")
+            self.advance(f"closed loop with a horizon of {stages}", time + 1, steps)
             settled = len(states) > 1 and float(np.linalg.norm(states[-1] - states[-2])) < still
             if settled:
                 break

@@ -69,7 +69,8 @@ def check_turnpike(
     swept = _sweep(subject.stages, expected) if horizons is None else list(horizons)
     counts: dict[str, list[_Count]] = {name: [] for name in starts}
     profiles: dict[str, dict[str, list[float]]] = {name: {} for name in starts}
-    merged, done = [], []
+    merged: list[int] = []
+    done: list[int] = []
     for stages in swept:
         merge = -(-stages * subject.problem.arrays.n_components // _MOST)
         nodes = -(-stages // merge)
@@ -80,7 +81,8 @@ def check_turnpike(
             if not plan.optimal:
                 break
             found[name] = np.linalg.norm(subject.x(plan) - subject.rest[:, None], axis=0)
-            subject.advance(f"turnpike: {stages} stages, {name}")
+            number = len(done) * len(starts) + len(found)
+            subject.advance(f"turnpike: {stages} steps, {name}", number, len(swept) * len(starts))
         if len(found) < len(starts):
             break
         done.append(nodes * merge)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,7 @@ from opfmodel.errors import OpfmodelError, shown
 
 if TYPE_CHECKING:
     from opfmodel.analysis.analyze import Analysis
+    from opfmodel.analysis.progress import Advance
 
 __all__ = ["analyze"]
 
@@ -49,6 +50,10 @@ def analyze(
 
     swept = None if horizons is None else _numbers(horizons)
     loaded = read_scenario(scenario, variant, set_)
+    if out is not None:
+        from opfmodel.results.store import make_folder
+
+        make_folder(out)  # before minutes of work
     with solver_output(False), _progress(sys.stderr.isatty() and not json_) as advance:
         found = analysed(loaded, only or (), step=step, horizons=swept, advance=advance)
     if out is not None:
@@ -68,18 +73,24 @@ def _numbers(text: str) -> list[int]:
 
 
 @contextmanager
-def _progress(visible: bool) -> Iterator[Callable[[str], None]]:
-    """Show what is being done on standard error; yield a function that says it."""
-    if not visible:
-        yield lambda _: None
-        return
+def _progress(visible: bool) -> Iterator[Advance]:
+    """Show a progress bar on standard error; yield a function that moves it."""
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    from opfmodel.analysis.progress import silent
+
+    if not visible:
+        yield silent
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("steady state")
-        yield lambda what: bar.update(task, description=what)
+        task = bar.add_task("steady state", total=None)
+
+        def advance(what: str, done: int = 0, of: int = 0) -> None:
+            bar.update(task, description=what, completed=done, total=of or None)
+
+        yield advance
 
 
 def _write(found: Analysis, folder: Path) -> None:

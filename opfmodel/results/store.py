@@ -21,7 +21,7 @@ from opfmodel.results.validity import check_trajectories
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["finite", "load", "save", "write_record"]
+__all__ = ["finite", "load", "make_folder", "save", "write_record"]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
@@ -76,6 +76,20 @@ def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -
     return saved
 
 
+def make_folder(folder: Path) -> None:
+    """Create a folder for results, unless it exists.
+
+    Raises
+    ------
+    ResultError
+        It cannot be created.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f"{folder}: cannot be created: {error.strerror or error}") from error
+
+
 def write_record(record: Mapping[str, object], path: Path) -> None:
     """Write a record as a JSON file, atomically; its folder is created if necessary.
 
@@ -84,8 +98,8 @@ def write_record(record: Mapping[str, object], path: Path) -> None:
     ResultError
         The file cannot be written.
     """
+    make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         replace({path: (json.dumps(finite(record), indent=2, allow_nan=False) + "\n").encode()})
     except OSError as error:
         raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
