@@ -124,10 +124,10 @@ def _recursive_feasibility(results: dict[str, Checks]) -> str:
     rows = []
     for system, found in _of(results, "recursive_feasibility"):
         least = [found[f"least_{side}"] for side in ("change", "up", "down")]
-        cells = ["" if each is None else f"{each['value']:.4g} (step {each['step']})" for each in least]
+        cells = ["" if each is None else f"{_rounded(each['value'])} (step {each['step']})" for each in least]
         buses = {name: margin for name, margin in found["buses"]["up_mw"].items() if margin is not None}
         weakest = min(buses, key=lambda name: buses[name])
-        rows.append([system, found["verdict"], *cells, weakest, f"{buses[weakest]:.4g}"])
+        rows.append([system, found["verdict"], *cells, weakest, _rounded(buses[weakest])])
     return table(head, rows)
 
 
@@ -145,6 +145,10 @@ def _performance_bound(results: dict[str, Checks]) -> str:
 
 def _of(results: dict[str, Checks], name: str) -> Iterable[tuple[str, dict[str, Any]]]:
     return ((system, checks[name]) for system, checks in results.items() if name in checks)
+
+
+def _rounded(value: float) -> str:
+    return f"{round(value, 3) + 0.0:.4g}"
 
 
 def _shown(value: float | None) -> str:

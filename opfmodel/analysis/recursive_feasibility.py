@@ -195,9 +195,10 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
             Verdict.UNDECIDED, STATEMENT, "the closed loop has fewer than two steps", _TOLERANCE, figures
         )
     least = figures["least_up"]
+    margin = max(0.0, round(least["value"], 3))  # below zero only within the tolerance
     why = (
-        f"in all {len(found)} steps; the smallest margin is {least['value']:.4g} MW of further demand in "
-        f"total, in {problem.step_name(least['step'])}"
+        f"in all {len(found)} steps; the smallest margin is {margin:.4g} MW of further demand in total, "
+        f"in {problem.step_name(least['step'])}"
     )
     return Finding(Verdict.HOLDS, STATEMENT, why, _TOLERANCE, figures)
 
