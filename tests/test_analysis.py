@@ -464,6 +464,20 @@ def test_margins_are_where_feasibility_ends(
         assert (solution.status.is_optimal and solution.primal_residual < 1e-8) == feasible
 
 
+def test_a_loop_that_breaks_off_is_not_reported_to_hold() -> None:
+    """Its plans fail as soon as they see the last step; the steps before could all be served."""
+    problem = lossless(3, demand=[150.0] * 5 + [900.0] + [150.0] * 3)
+    run = om.simulate(problem, steps=6, initial={"pg": [110, 40], "e": [50]})
+    finding = check_recursive_feasibility(problem, run)
+    assert (len(run.steps), finding.verdict) == (3, UNDECIDED)
+    assert "broke off in step 3" in finding.explanation
+
+
+def test_wrong_arguments_are_named() -> None:
+    with pytest.raises(om.OpfmodelError, match="must be a Scenario"):
+        om.analyze("two-bus.yaml")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("formulation", ["copperplate", "ac"])
 def test_a_step_that_ramps_cannot_follow_is_proven_infeasible(formulation: str) -> None:
     """A plan of one stage sells 40 MWh, then the last 10 MWh, and leaves the units at 110 and 160 MW."""

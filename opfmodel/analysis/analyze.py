@@ -24,14 +24,14 @@ from opfmodel.analysis.steady_state import check_steady_state
 from opfmodel.analysis.subject import NoSteadyStateError, Subject
 from opfmodel.analysis.turnpike import STATEMENT as TURNPIKE
 from opfmodel.analysis.turnpike import check_turnpike
-from opfmodel.errors import ModelError, nearest
+from opfmodel.errors import ModelError, nearest, shown
 from opfmodel.network.bounds import integer
 from opfmodel.scenario import Scenario
 
 __all__ = ["CHECKS", "Analysis", "analyze"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Analysis:
     """What the checks of a scenario found.
 
@@ -48,6 +48,10 @@ class Analysis:
     scenario: str
     step: int
     checks: Mapping[str, Finding]
+
+    def __repr__(self) -> str:
+        verdicts = ", ".join(f"{name}: {finding.verdict.value}" for name, finding in self.checks.items())
+        return f"Analysis({self.scenario!r}, step {self.step}: {verdicts})"
 
     @property
     def violated(self) -> bool:
@@ -101,7 +105,7 @@ CHECKS: Mapping[str, tuple[str, Callable[[_Work], Finding]]] = {
 
 def analyze(
     scenario: Scenario,
-    only: Iterable[str] = (),
+    only: str | Iterable[str] = (),
     *,
     step: int = 0,
     horizons: Sequence[int] | None = None,
@@ -114,7 +118,7 @@ def analyze(
     Parameters
     ----------
     only
-        Names of the checks, of :data:`CHECKS`; all of them by default.
+        Name or names of the checks, of :data:`CHECKS`; all of them by default.
     step
         Step whose demand, limits and costs are held constant where the theory assumes a constant disturbance.
     horizons
@@ -125,7 +129,7 @@ def analyze(
     Raises
     ------
     ModelError
-        A check is unknown, or the step is beyond the data.
+        A check is unknown, the step is beyond the data, or there are not two horizons.
 
     Examples
     --------
@@ -135,7 +139,9 @@ def analyze(
     >>> om.analyze(scenario, ["performance_bound"]).checks["performance_bound"].verdict.value
     'holds'
     """
-    wanted = list(dict.fromkeys(only)) or list(CHECKS)
+    if not isinstance(scenario, Scenario):
+        raise ModelError(f"scenario = {shown(scenario)}: must be a Scenario; see load_scenario")
+    wanted = list(dict.fromkeys([only] if isinstance(only, str) else only)) or list(CHECKS)
     for name in wanted:
         if name not in CHECKS:
             raise ModelError(f"check {name!r}: no such check; {nearest(name, CHECKS)}")
@@ -145,6 +151,10 @@ def analyze(
         raise ModelError(f"step = {step}: the time series have {known} steps, 0 to {known - 1}")
     for horizon in horizons or ():
         integer("horizons", horizon, at_least=2)
+    if horizons is not None and len(set(horizons)) < 2:
+        raise ModelError(
+            f"horizons = {shown(list(horizons))}: must be at least two different numbers of steps"
+        )
     work = _Work(scenario, step, None if horizons is None else sorted(set(horizons)), advance)
     findings = {}
     for name in wanted:

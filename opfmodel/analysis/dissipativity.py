@@ -180,7 +180,7 @@ def check_dissipativity(subject: Subject) -> Finding:
         verdict, why = Verdict.VIOLATED, f"{what}, {np.sqrt(broken.distance):.3g} p.u. away"
     elif certified:
         verdict = Verdict.HOLDS
-        why = f"the relaxation certifies alpha = {certified:.4g}"
+        why = f"the relaxation certifies alpha = {certified:.4g} $/(h p.u.²)"
     else:
         verdict = Verdict.UNDECIDED
         if alpha == 0.0:

@@ -18,7 +18,7 @@ class Verdict(StrEnum):
     UNDECIDED = "undecided"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Finding:
     """The result of one check.
 
@@ -39,6 +39,9 @@ class Finding:
     explanation: str
     tolerance: float
     figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"Finding({self.verdict.value}: {self.explanation})"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as plain values."""

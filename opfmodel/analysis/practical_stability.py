@@ -79,7 +79,7 @@ def check_practical_stability(
     if close:
         why = (
             f"with a horizon of {swept[close[0]]} or more stages all loops end within {near:.3g} p.u. of the "
-            f"steady state within {length} steps, with {swept[-1]} at {worst[-1]:.3g} p.u."
+            f"steady state within {length} steps; with that of {swept[-1]}, {worst[-1]:.3g} p.u. away"
         )
         return Finding(Verdict.HOLDS, STATEMENT, why, near, figures)
     outside = [name for name in starts if ends[name][-1] > near]

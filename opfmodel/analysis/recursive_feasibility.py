@@ -190,17 +190,22 @@ def _judged(problem: MultiStage, run: Run, margins: Margins, found: list[_Step],
         first = problem.step_name(doubtful[0])
         why = f"for {first} no feasible state was found, nor a proof that there is none"
         return Finding(Verdict.UNDECIDED, STATEMENT, why, _TOLERANCE, figures)
+    if run.status != "done":
+        served = "; its own demand could be served, but not that of all stages of the plan" if found else ""
+        why = f"the closed loop broke off in {run.termination}{served}"
+        return Finding(Verdict.UNDECIDED, STATEMENT, why, _TOLERANCE, figures)
     if not found:
         return Finding(
             Verdict.UNDECIDED, STATEMENT, "the closed loop has fewer than two steps", _TOLERANCE, figures
         )
-    least = figures["least_up"]
-    margin = max(0.0, round(least["value"], 3))  # below zero only within the tolerance
-    why = (
-        f"in all {len(found)} steps; the smallest margin is {margin:.4g} MW of further demand in total, "
-        f"in {problem.step_name(least['step'])}"
-    )
+    up, down = (_least(problem, figures[f"least_{side}"]) for side in ("up", "down"))
+    why = f"in all {len(found)} steps demand could have been up to {up} higher and {down} lower in total"
     return Finding(Verdict.HOLDS, STATEMENT, why, _TOLERANCE, figures)
+
+
+def _least(problem: MultiStage, least: dict[str, Any]) -> str:
+    """Return a smallest margin in words; below zero only within the tolerance."""
+    return f"{max(0.0, round(least['value'], 3)):.4g} MW ({problem.step_name(least['step'])})"
 
 
 def _served(margins: Margins, step: _Step, state: Initial) -> bool:

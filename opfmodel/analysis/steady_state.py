@@ -64,11 +64,9 @@ def check_steady_state(subject: Subject, initial: Array | None = None) -> Findin
     if steady.active:
         many = len(steady.active)
         limits = f"{many} limit{'s' if many > 1 else ''}, such as {steady.active[0]}"
-        return Finding(
-            Verdict.VIOLATED, STATEMENT, f"it exists, on the boundary: {limits}; {reached}", _DETOUR, figures
-        )
+        return Finding(Verdict.VIOLATED, STATEMENT, f"on the boundary: {limits}; {reached}", _DETOUR, figures)
     verdict = Verdict.HOLDS if connected else Verdict.UNDECIDED
-    return Finding(verdict, STATEMENT, f"it exists, in the interior; {reached}", _DETOUR, figures)
+    return Finding(verdict, STATEMENT, f"in the interior; {reached}", _DETOUR, figures)
 
 
 def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:

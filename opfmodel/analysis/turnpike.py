@@ -119,13 +119,13 @@ def _judged(figures: dict[str, Any], expected: float, own: int) -> Finding:
     growth = (outside[-1] - outside[-2]) / (done[-1] - done[-2])
     figures["growth"] = growth
     meaning = (
-        f"the horizon of {own} stages is shorter than the arcs"
+        f"the horizon of {own} steps is shorter"
         if outside[-1] > own
-        else f"the horizon of {own} stages contains the arcs"
+        else f"the horizon of {own} steps is longer"
     )
     what = (
-        f"of {done[-2]} and {done[-1]} stages, {outside[-2]} and {outside[-1]} are outside the ball, "
-        f"{growth:.2f} per further stage; {meaning}"
+        f"plans of {done[-2]} and {done[-1]} steps spend {outside[-2]} and {outside[-1]} of them farther "
+        f"than {figures['epsilon']:.3g} p.u. from the steady state; {meaning}"
     )
     if growth <= _SETTLED:
         verdict = Verdict.HOLDS
@@ -138,7 +138,7 @@ def _judged(figures: dict[str, Any], expected: float, own: int) -> Finding:
         what += (
             "; the length of the arcs could not be estimated"
             if np.isnan(expected)
-            else f"; the arcs are estimated to be {expected:.0f} stages long"
+            else f"; the arcs are estimated to be {expected:.0f} steps long"
         )
     return Finding(verdict, STATEMENT, what, _SETTLED, figures)
 

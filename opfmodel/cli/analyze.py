@@ -27,7 +27,8 @@ def analyze(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            help="Check to run, such as dissipativity; repeatable. All of them by default.", metavar="NAME"
+            help="Check to run, or several with commas between; repeatable. All of them by default.",
+            metavar="NAME",
         ),
     ] = None,
     step: Annotated[int, typer.Option(help="Step whose demand is held constant.")] = 0,
@@ -49,13 +50,14 @@ def analyze(
     from opfmodel.analysis.analyze import analyze as analysed
 
     swept = None if horizons is None else _numbers(horizons)
+    wanted = [name.strip() for names in only or () for name in names.split(",")]
     loaded = read_scenario(scenario, variant, set_)
     if out is not None:
         from opfmodel.results.store import make_folder
 
         make_folder(out)  # before minutes of work
     with solver_output(False), _progress(sys.stderr.isatty() and not json_) as advance:
-        found = analysed(loaded, only or (), step=step, horizons=swept, advance=advance)
+        found = analysed(loaded, wanted, step=step, horizons=swept, advance=advance)
     if out is not None:
         _write(found, out)
     if json_:
