@@ -127,6 +127,17 @@ def test_a_steady_state_on_the_boundary_names_the_limits() -> None:
     assert finding.figures["lmp"]["a"] == pytest.approx(price, rel=1e-7)
 
 
+def test_a_constraint_on_the_boundary_is_named_whichever_component_it_holds_back() -> None:
+    problem = lossless()
+    problem.constrain("block", lambda stage: stage.generator.pg, at_least=[45.0])
+    problem.constrain("loose", lambda stage: stage.generator.pg, at_most=[180.0])
+    finding = check_steady_state(Subject(problem))
+    assert finding.figures["state"]["gas.pg"] == pytest.approx(
+        45, rel=1e-6
+    )  # 40 MW without it, the second unit
+    assert (finding.verdict, finding.figures["active"]) == (VIOLATED, ["constraint block"])
+
+
 @pytest.mark.parametrize("formulation", ["copperplate", "ac"])
 def test_that_no_steady_state_exists_is_proven(formulation: str) -> None:
     with pytest.raises(NoSteadyStateError, match=r"no steady state exists: bus a lacks 100\.0 MW") as none:
@@ -262,7 +273,7 @@ def test_a_stage_that_beats_the_price_of_the_steady_state() -> None:
 def test_the_five_bus_system_is_dissipative_up_to_its_smallest_weight() -> None:
     """No relaxation of a meshed grid certifies it; many starts find nothing below 1e-3, and something above."""
     subject = Subject(om.load_scenario(SCENARIOS / "case5-step.yaml").problem)
-    search, tolerance = _Search(subject, starts=25), subject.tolerance()
+    search, tolerance = _Search(subject, starts=25), subject.tolerance
     alpha, _ = _Search(subject, starts=3).largest_alpha(1.5e-3, tolerance)
     assert alpha == pytest.approx(1e-3, rel=1e-2)
     assert search.lowest(1e-3).value(1e-3) >= -tolerance

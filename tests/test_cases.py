@@ -17,7 +17,7 @@ import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
 from opfmodel.network.cases.pandapower.write import write_pandapower
 
-CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m")])
+CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m"), SCENARIOS / "data" / "case33bw.m"])
 
 
 def contents(network: om.Network) -> dict:

@@ -126,7 +126,7 @@ def test_run_prints_a_short_table(call: Call, tmp_path: Path) -> None:
 def test_validate(call: Call, tmp_path: Path) -> None:
     code, out, _ = call("validate", CASE5, "--json")
     assert (code, json.loads(out)["buses"]) == (0, 5)
-    code, out, _ = call("validate", DATA / "matpower" / "case33bw.m")
+    code, out, _ = call("validate", SCENARIOS / "data" / "case33bw.m")
     assert code == 0
     assert "33 buses" in out
     bad = tmp_path / "bad.yaml"

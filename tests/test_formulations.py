@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import DATA, ROOT, SCENARIOS, demand, everything
+from conftest import ROOT, SCENARIOS, demand, everything
 from numpy.testing import assert_allclose
 
 import opfmodel as om
@@ -111,7 +111,7 @@ def test_a_relaxation_says_how_far_it_is() -> None:
 
 def test_a_relaxation_of_a_radial_network_is_exact() -> None:
     """Feeders have no loops: IEEE 33, where the relaxation is known to be tight."""
-    feeder = om.read_network(DATA / "matpower" / "case33bw.m")
+    feeder = om.read_network(SCENARIOS / "data" / "case33bw.m")
     exact, relaxed = (om.MultiStage(feeder, formulation=name).solve() for name in ("ac", "soc"))
     assert relaxed.relaxation_gap(exact) == pytest.approx(0.0, abs=1e-5)
     assert relaxed.relaxation["largest_cone_slack"] < 1e-5

@@ -28,9 +28,9 @@ from opfmodel.results.map import save_map
 from opfmodel.scenario.template import template
 from opfmodel.scenario.write import scalar, write_scenario
 
-CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m")])
+CASES = sorted([*DATA.glob("pglib/*.m"), *DATA.glob("matpower/*.m"), SCENARIOS / "data" / "case33bw.m"])
 CASE14 = DATA / "pglib" / "pglib_opf_case14_ieee.m"
-CASE33 = DATA / "matpower" / "case33bw.m"
+CASE33 = SCENARIOS / "data" / "case33bw.m"
 CASE5 = SCENARIOS / "case5-step.yaml"
 
 

@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
-from conftest import DATA
+from conftest import DATA, SCENARIOS
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
@@ -235,7 +235,7 @@ def test_evaluated_statements_are_not_reported() -> None:
     """The distribution systems of MATPOWER convert their units at the end of the file."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        network = om.read_network(DATA / "matpower" / "case33bw.m")
+        network = om.read_network(SCENARIOS / "data" / "case33bw.m")
     assert network.load2.p == pytest.approx(0.1)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
-from conftest import DATA, ROOT
+from conftest import DATA, ROOT, SCENARIOS
 from distributions import metadata, visible
 from jsonschema import Draft202012Validator
 from numpy.testing import assert_allclose
@@ -253,7 +253,7 @@ def test_every_formulation_serves_a_fleet(installed: Path) -> None:
 
 
 def test_lindistflow_is_the_sum_of_the_drops_along_the_path(installed: Path) -> None:
-    grid = om.read_network(DATA / "matpower" / "case33bw.m")
+    grid = om.read_network(SCENARIOS / "data" / "case33bw.m")
     plan = om.MultiStage(grid, formulation="lindistflow").solve()
     branches = {n: b for n, b in grid.of(om.Branch).items() if b.in_service}
     tree = nx.Graph([(b.from_bus, b.to_bus, {"branch": b}) for b in branches.values()])

@@ -26,7 +26,7 @@ from solvers.newton import find_root
 CASES = [
     *sorted((DATA / "pglib").glob("*.m")),
     *sorted((DATA / "matpower").glob("*.m")),
-    SCENARIOS / "data" / "case118.m",
+    *sorted((SCENARIOS / "data").glob("*.m")),
 ]
 BALANCES = ("active balance", "reactive balance", "reported flow")
 

@@ -10,23 +10,23 @@ import numpy.typing as npt
 from opfmodel.network.units import scale
 from opfmodel.plan import Plan
 
-__all__ = ["active_limits"]
+__all__ = ["NEAR", "active_limits"]
 
 Array = npt.NDArray[np.float64]
 
 # Of the range of a limited quantity, or p.u. where a side is infinite: interior-point methods approach
 # a limit that costs nothing only to the square root of their tolerance.
-_NEAR = 1e-3
-_PRICED = 1e-6  # $/MWh, a smaller price of a branch or constraint is tolerance
+NEAR = 1e-3
+_PRICED = 1e-6  # $/MWh of a branch, $/h and unit of a constraint; a smaller price is tolerance
 
 
 def active_limits(plan: Plan) -> tuple[str, ...]:
-    """Return the limits that bind in the first stage of a plan, as sentences without a verb.
+    """Return the limits that bind in a plan of one stage, as sentences without a verb.
 
-    Limits of variables, whose values are compared with them; ratings of branches, angle differences and
-    custom constraints, which bind where they have a price.
+    Limits of variables and of angle differences bind where the values are near them, ratings of branches and
+    custom constraints where they have a price.
     """
-    return tuple(dict.fromkeys((*_bounds(plan), *_priced(plan))))
+    return (*_bounds(plan), *_angles(plan), *_priced(plan))
 
 
 def _bounds(plan: Plan) -> Iterator[str]:
@@ -45,26 +45,28 @@ def _bounds(plan: Plan) -> Iterator[str]:
                 continue  # given, not limited
             width = most - least if np.isfinite(most - least) else 1.0
             for bound, side, beyond in ((least, "minimum", at - least), (most, "maximum", most - at)):
-                if np.isfinite(bound) and beyond <= _NEAR * width:
+                if np.isfinite(bound) and beyond <= NEAR * width:
                     shown = bound * scale(unit, model.network.base_mva)
                     yield f"{item}: {name} at its {side} of {shown:.6g} {unit}".rstrip()
 
 
+def _angles(plan: Plan) -> Iterator[str]:
+    if "va" not in plan.model.published:
+        return
+    branch, va = plan.network.branch, plan.stage.bus.va[:, 0]
+    across = va[branch.from_bus] - va[branch.to_bus]
+    for item, at, least, most in zip(
+        branch.names, across, branch.angle_min[:, 0], branch.angle_max[:, 0], strict=True
+    ):
+        if min(at - least, most - at) <= NEAR:
+            yield f"{item}: at its limit of the angle difference"
+
+
 def _priced(plan: Plan) -> Iterator[str]:
     network = plan.network
-    for (kind, name), price in plan.prices().items():
-        if name in ("lmp", "lmp_q", "e_price", "security_price") or name.endswith("_ramp_price"):
-            continue
-        what = name.removesuffix("_price")
-        names = network.tables[kind].names if kind in network.tables else ("",)
-        for item, value in zip(names, np.abs(price[:, 0]), strict=False):
-            if value / network.base_mva > _PRICED:
-                yield f"{item}: at its {what}" if item else f"constraint {what}"
-    if "va" in plan.model.published:
-        branch, va = network.branch, plan.stage.bus.va[:, 0]
-        across = va[branch.from_bus] - va[branch.to_bus]
-        for item, at, least, most in zip(
-            branch.names, across, branch.angle_min[:, 0], branch.angle_max[:, 0], strict=True
-        ):
-            if min(at - least, most - at) <= _NEAR:
-                yield f"{item}: at its limit of the angle difference"
+    if "rating_price" in plan.model.prices:
+        price = np.abs(plan.price("rating_price")[:, 0]) / network.base_mva
+        yield from (f"{network.branch.names[at]}: at its rating" for at in np.flatnonzero(price > _PRICED))
+    for constraint in plan.problem.constraints.values():
+        if constraint.price in plan.model.prices and (np.abs(plan.price(constraint.price)) > _PRICED).any():
+            yield f"constraint {constraint.name}"

@@ -128,7 +128,7 @@ def check_bounded(problem: MultiStage) -> None:
     name = problem.formulation.name
     if problem.formulation.relaxed_by is None:
         raise IncompatibleError(
-            f"bound: formulation {name!r}: no relaxation of it is known; ac, ac-rectangular and soc have one"
+            f"bound: formulation {name!r}: no relaxation of it is known, as there is of ac"
         )
     if problem.elastic is not None:
         raise IncompatibleError(

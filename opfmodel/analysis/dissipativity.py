@@ -1,4 +1,4 @@
-"""Strict dissipativity: no stage buys or sells stored energy at better than the price of the steady state."""
+"""Strict dissipativity: no stage buys or sells energy at better prices than those of the steady state."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.analysis.constant import convex_problem
 from opfmodel.analysis.finding import Finding, Verdict
+from opfmodel.analysis.problems import convex_problem
 from opfmodel.analysis.rotated import Rotated
 from opfmodel.analysis.subject import State, Subject, again, free, random_starts
 from opfmodel.errors import IncompatibleError
@@ -100,7 +100,7 @@ class _Search:
 
     def _stage(self, plan: Plan, alpha: float) -> _Stage:
         subject, solution = self.subject, plan.solution
-        x = subject.state_of(solution)[:, 0]
+        x = subject.x(plan)[:, 0]
         distance = float(np.sum((x - subject.steady.x) ** 2))
         step = plan.problem.step
         value = solution.objective / step - subject.steady.cost
@@ -132,7 +132,7 @@ def check_dissipativity(subject: Subject) -> Finding:
     The minimum of the rotated cost less alpha times the squared distance from the steady state has an upper
     bound from solves with many starts, and a lower bound from a convex relaxation.
     """
-    tolerance = subject.tolerance()
+    tolerance = subject.tolerance
     eigenvalues, quadratic = np.linalg.eigvalsh(subject.q), subject.quadratic
     definite = eigenvalues[0] > _ROUNDING * eigenvalues[-1]
     least = float(eigenvalues[0]) if definite else 0.0
@@ -180,7 +180,8 @@ def check_dissipativity(subject: Subject) -> Finding:
         verdict, why = Verdict.VIOLATED, f"{what}, {np.sqrt(broken.distance):.3g} p.u. away"
     elif certified:
         verdict = Verdict.HOLDS
-        why = f"the relaxation certifies alpha = {certified:.4g} $/(h p.u.²)"
+        unit = in_currency("$/(h p.u.²)", subject.problem.network.currency)
+        why = f"the relaxation certifies alpha = {certified:.4g} {unit}"
     else:
         verdict = Verdict.UNDECIDED
         if alpha == 0.0:

@@ -22,9 +22,11 @@ def turnpike_figure(finding: Finding, scenario: str) -> Figure:
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
+    from opfmodel.results.drawing import WIDTH, prepare
+
     figures: Any = finding.figures
     start = next(reversed(figures["distance"]))
-    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.2), layout="constrained")
     distance, count = figure.subplots(1, 2)
     shades = colormaps["viridis"](np.linspace(0.85, 0.05, max(1, len(figures["horizons"]))))
     for horizon, merged, shade in zip(
@@ -39,6 +41,6 @@ def turnpike_figure(finding: Finding, scenario: str) -> Figure:
     count.plot(figures["horizons"], figures["horizons"], color="0.4", linewidth=0.8, linestyle=":", label="N")
     count.set(xlabel="horizon N [steps]", ylabel="steps outside the ball", title="turnpike")
     for axis in (distance, count):
-        axis.grid(alpha=0.3, linewidth=0.5)
+        prepare(axis)
         axis.legend(fontsize=7, frameon=False)
     return figure

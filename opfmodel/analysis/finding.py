@@ -29,7 +29,7 @@ class Finding:
     explanation
         What the verdict rests on.
     tolerance
-        Tolerance of the comparison on which the verdict rests; the figures name its unit.
+        Tolerance of the comparison on which the verdict rests, in the unit of what is compared.
     figures
         The numbers, by name.
     """

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from opfmodel.analysis.bound import certify
-from opfmodel.analysis.constant import convex_problem, nominal_problem
 from opfmodel.analysis.finding import Finding, Verdict
+from opfmodel.analysis.problems import convex_problem, nominal_problem
 from opfmodel.analysis.subject import EXACT, TIGHT, Subject, free
 from opfmodel.errors import IncompatibleError
 from opfmodel.plan import End, MultiStage, Plan
@@ -16,6 +16,8 @@ from opfmodel.plan.request import Limits, Request
 from solvers import dual_bound
 
 __all__ = ["check_performance_bound"]
+
+Array = npt.NDArray[np.float64]
 
 _RELATIVE = 1e-7  # of the bound; the tolerance of IPOPT on a plan
 
@@ -104,7 +106,7 @@ def _compared(value: float, bound: float, tolerance: float, currency: str) -> st
     return f"V_N is {far} {side} the bound"
 
 
-def _steady_costs(subject: Subject, stages: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _steady_costs(subject: Subject, stages: int) -> Array:
     """Return the cost of the steady state of each step, $/h; NaN where none was found."""
     problem = nominal_problem(subject.problem, 1)
     problem.generator_delay, problem.regularisation = 0, 0.0
@@ -139,11 +141,9 @@ def _binding_ramps(plan: Plan) -> list[str]:
 
 def _least(plan: Plan) -> float:
     """Return a lower bound on the cost of any plan of the same problem; minus infinity if none is known."""
+    problem = plan.problem.variant(elastic=None)
+    problem.regularisation = 0.0
     try:
-        if plan.problem.formulation.relaxed_by is not None:
-            return certify(plan).lower
-        problem = plan.problem.variant(elastic=None)
-        problem.regularisation = 0.0
         return dual_bound(convex_problem(problem).solve_once(plan.request).solution)
     except IncompatibleError:
         return -np.inf

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.analysis.arcs import estimated_arc
 from opfmodel.analysis.finding import Finding, Verdict
@@ -14,6 +15,8 @@ from opfmodel.analysis.turnpike import radius
 from opfmodel.plan import End
 
 __all__ = ["check_practical_stability"]
+
+Array = npt.NDArray[np.float64]
 
 _STARTS = {"empty": 0.0, "full": 1.0}
 _STEPS = 4  # times the horizon of the problem: how long the loops are
@@ -103,10 +106,10 @@ def _cause(subject: Subject) -> str:
     return ": the horizon is too short"
 
 
-def _away(subject: Subject, loop: Loop) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _away(subject: Subject, loop: Loop) -> Array:
     return np.asarray(np.linalg.norm(loop.x - subject.rest[:, None], axis=0))
 
 
-def _has_settled(away: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
+def _has_settled(away: Array) -> bool:
     before = away[-max(2, len(away) // 4)]
     return bool(away[-1] >= (1 - _MOVES) * before)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.analysis.constant import convex_problem, nominal_problem
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.growth import DIRECTIONS, GrowingDemand, LargestGrowth
+from opfmodel.analysis.problems import convex_problem, nominal_problem
 from opfmodel.analysis.progress import Advance, silent
 from opfmodel.analysis.subject import EXACT
 from opfmodel.errors import IncompatibleError

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.analysis.constant import AtStep
+from opfmodel.analysis.problems import AtStep
 from opfmodel.analysis.subject import Subject
 from opfmodel.model import Stage
 from opfmodel.network.arrays import PerUnitNetwork

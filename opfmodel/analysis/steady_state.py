@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.analysis.active import NEAR
 from opfmodel.analysis.finding import Finding, Verdict
 from opfmodel.analysis.subject import Subject, free
 from opfmodel.model import Stage
@@ -64,9 +65,9 @@ def check_steady_state(subject: Subject, initial: Array | None = None) -> Findin
     if steady.active:
         many = len(steady.active)
         limits = f"{many} limit{'s' if many > 1 else ''}, such as {steady.active[0]}"
-        return Finding(Verdict.VIOLATED, STATEMENT, f"on the boundary: {limits}; {reached}", _DETOUR, figures)
+        return Finding(Verdict.VIOLATED, STATEMENT, f"on the boundary: {limits}; {reached}", NEAR, figures)
     verdict = Verdict.HOLDS if connected else Verdict.UNDECIDED
-    return Finding(verdict, STATEMENT, f"in the interior; {reached}", _DETOUR, figures)
+    return Finding(verdict, STATEMENT, f"in the interior; {reached}", NEAR, figures)
 
 
 def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
@@ -99,6 +100,7 @@ def feasible_path(subject: Subject, x: Array) -> dict[str, Any]:
         "connected": bool(max(longest, away, astray) <= allowed),
         "length": length,
         "longest_piece": longest,
+        "longest_allowed": allowed,
         "pieces": _PIECES,
         "initial_state_infeasible_by": away,
     }

@@ -10,13 +10,13 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from opfmodel.analysis.active import active_limits
-from opfmodel.analysis.constant import AtStep, constant_problem, convex_problem
+from opfmodel.analysis.problems import AtStep, constant_problem, convex_problem
 from opfmodel.analysis.progress import Advance, silent
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, Initial, MultiStage, Plan
 from opfmodel.simulation import Controller
-from solvers import Solution, SolutionStatus, Start
+from solvers import SolutionStatus, Start
 from solvers.template import Degree
 
 __all__ = ["EXACT", "TIGHT", "Loop", "NoSteadyStateError", "State", "SteadyState", "Subject"]
@@ -223,17 +223,14 @@ class Subject:
         """Factor from internal per-unit values to those on the base of the network."""
         return self.problem.arrays.rebased
 
+    @property
     def tolerance(self) -> float:
         """Difference between stage costs that is more than solver error, $/h."""
         return _RELATIVE * max(1.0, abs(self.steady.cost))
 
     def x(self, plan: Plan) -> Array:
         """Return the states at the start of the stages of a plan, ``(states, stages)``, p.u."""
-        return self.state_of(plan.solution)
-
-    def state_of(self, solution: Solution) -> Array:
-        """Return the states of a solution, also of one that is not optimal."""
-        return self.unit * np.vstack([solution.value(state.name) for state in self.states])
+        return self.unit * np.vstack([plan.solution.value(state.name) for state in self.states])
 
     def names(self) -> list[str]:
         """Return the names of the entries of x, such as ``coal.pg``."""
@@ -289,25 +286,26 @@ class Subject:
         return all(cost.template.degree <= Degree.QUADRATIC for cost in costs)
 
     @cached_property
-    def capacity(self) -> Array:
-        """Range of each state that is stored, p.u.; zero for dispatched ones."""
-        width = np.zeros(len(self.steady.x))
+    def _stored(self) -> tuple[Array, Array]:
+        """Least and largest value of each state that is stored, p.u.; zero for dispatched ones."""
+        ends = np.zeros((2, len(self.steady.x)))
         for state in self.states:
             if state.stock:
                 source = self.stage_problem.model.bounds[state.name]
-                low, high = source.resolve(self.steady.plan.network.tables[state.kind])
-                width[state.where] = (high - low)[:, 0] * self.unit
-        return np.where(np.isfinite(width), width, 0.0)
+                limits = source.resolve(self.steady.plan.network.tables[state.kind])
+                ends[:, state.where] = self.unit * np.hstack(limits).T
+        return ends[0], ends[1]
+
+    @property
+    def capacity(self) -> Array:
+        """Range of each state that is stored, p.u.; zero for dispatched ones and without limits."""
+        low, high = self._stored
+        return np.where(np.isfinite(high - low), high - low, 0.0)
 
     def stored(self, share: float) -> Array:
         """Return the steady state of plans with storages filled to a share of their range."""
-        x = self.rest.copy()
-        for state in self.states:
-            if state.stock:
-                source = self.stage_problem.model.bounds[state.name]
-                low, _ = source.resolve(self.steady.plan.network.tables[state.kind])
-                x[state.where] = low[:, 0] * self.unit + share * self.capacity[state.where]
-        return x
+        stock = np.concatenate([np.full(s.where.stop - s.where.start, s.stock) for s in self.states])
+        return np.where(stock, self._stored[0] + share * self.capacity, self.rest)
 
     def loop(self, stages: int, x: Array, steps: int, still: float = 0.0) -> Loop:
         """Return the closed loop of the controller under constant demand, planning for a number of stages.

@@ -118,14 +118,9 @@ def _judged(figures: dict[str, Any], expected: float, own: int) -> Finding:
         return Finding(Verdict.UNDECIDED, STATEMENT, why, _SETTLED, figures)
     growth = (outside[-1] - outside[-2]) / (done[-1] - done[-2])
     figures["growth"] = growth
-    meaning = (
-        f"the horizon of {own} steps is shorter"
-        if outside[-1] > own
-        else f"the horizon of {own} steps is longer"
-    )
     what = (
         f"plans of {done[-2]} and {done[-1]} steps spend {outside[-2]} and {outside[-1]} of them farther "
-        f"than {figures['epsilon']:.3g} p.u. from the steady state; {meaning}"
+        f"than {figures['epsilon']:.3g} p.u. from the steady state; the controller plans {own} steps ahead"
     )
     if growth <= _SETTLED:
         verdict = Verdict.HOLDS

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["analyze"]
 
+_SHOWN = 20  # limits that bind
+
 
 def analyze(
     scenario: SCENARIO,
@@ -120,6 +122,3 @@ def _show(found: Analysis) -> None:
                 print_line(f"  {limit}")
             if len(limits) > _SHOWN:
                 print_line(f"  and {len(limits) - _SHOWN} more; --json lists all")
-
-
-_SHOWN = 20

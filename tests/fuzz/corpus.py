@@ -108,9 +108,10 @@ COST = ("--default-cost", "30")
 
 
 def _networks() -> Iterator[Seed]:
-    for name in ("case5", "case30pwl", "case33bw"):
-        files = {"n.m": (DATA / "matpower" / f"{name}.m").read_bytes()}
-        yield Seed(name, "network", files, {"n.m": TEXT}, _network_commands("n.m"))
+    feeder = ROOT / "scenarios" / "data" / "case33bw.m"
+    for path in (*(DATA / "matpower" / f"{name}.m" for name in ("case5", "case30pwl")), feeder):
+        files = {"n.m": path.read_bytes()}
+        yield Seed(path.stem, "network", files, {"n.m": TEXT}, _network_commands("n.m"))
     yield Seed(
         "psse", "network", {"n.raw": _emitted("psse")}, {"n.raw": TEXT}, _network_commands("n.raw", *COST)
     )

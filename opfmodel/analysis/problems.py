@@ -16,7 +16,7 @@ from opfmodel.model import CustomConstraint, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, MultiStage
-from solvers import UnsupportedProgramError, prepare
+from solvers import UnsupportedProgramError
 
 __all__ = ["AtStep", "constant_problem", "convex_problem", "nominal_problem"]
 
@@ -118,7 +118,7 @@ def convex_problem(problem: MultiStage, options: Mapping[str, Any] | None = None
     if options:
         made.options = {**made.options, **options}
     try:
-        prepare(made.compile(), made.solver, made.options)
+        made.compile()
     except UnsupportedProgramError as error:
         raise IncompatibleError(f"relaxation {made.formulation.name!r}: not convex: {error}") from error
     return made
