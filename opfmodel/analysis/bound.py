@@ -165,7 +165,7 @@ def _minimised(plan: Plan) -> float:
         float((plan.solution.value(f"{name}_next")[:, plan.horizon.leaves] @ probability).sum())
         * scale(state.unit, network.base_mva)
         for name, state in plan.model.states.items()
-        if state.is_energy
+        if state.ends
     )
     return plan.objective - price * left
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, time
 from functools import cached_property
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -137,6 +137,22 @@ class Times:
     def hours(self) -> npt.NDArray[np.float64]:
         """Hours at which the stages begin, counted from step 0."""
         return np.asarray(self.steps * self.step, dtype=float)
+
+    @property
+    def clock(self) -> npt.NDArray[np.float64]:
+        """Local times of the beginnings of the stages, in hours since midnight of the day of step 0.
+
+        Without a calendar, step 0 begins at midnight. Where clocks are put forward an hour is missing, and
+        where they are put back one occurs twice.
+        """
+        if self.calendar is None:
+            return self.hours
+        zone = zone_of(self.calendar.zone)
+        stamps = self.calendar.stamps(int(self.steps.max(initial=0)) + 1)[np.append(0, self.steps)]
+        seconds = stamps.astype("datetime64[s]").astype(np.int64)
+        walls = [datetime.fromtimestamp(second, tz=zone).replace(tzinfo=None) for second in seconds.tolist()]
+        midnight = datetime.combine(walls[0].date(), time())
+        return np.array([(wall - midnight).total_seconds() / 3600.0 for wall in walls[1:]])
 
     @property
     def shown(self) -> tuple[str, ...]:

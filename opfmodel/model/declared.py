@@ -103,6 +103,8 @@ class State:
         Field with the default initial value.
     ramped
         Items with a ramp limit.
+    ends
+        Whether terminal conditions apply to a stock.
     """
 
     name: str
@@ -111,11 +113,7 @@ class State:
     role: Literal["stock", "dispatch"]
     initial: str | None = None
     ramped: Index | None = None
-
-    @property
-    def is_energy(self) -> bool:
-        """Whether the state is stored energy, to which terminal conditions apply."""
-        return self.role == "stock" and self.unit == "MWh"
+    ends: bool = False
 
 
 @dataclass(frozen=True)

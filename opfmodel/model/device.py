@@ -15,7 +15,7 @@ __all__ = ["Device"]
 
 
 class Device:
-    """A kind of component that takes part in the power balance; one class per file.
+    """A kind of component that takes part in the power balance or in the cost; one class per file.
 
     Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
     bounded variables, affine rows, cones and convex costs.

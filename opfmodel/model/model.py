@@ -323,13 +323,19 @@ class Model:
         unit: str,
         description: str = "",
         initial: str | None = None,
+        ends: bool = True,
     ) -> tuple[Expression, Expression]:
         """Declare a stored quantity, with its initial value and its value at the end of each stage.
 
         A stage starts where its parent ended. The values at the start of each stage are published as
-        ``name``, those at the end as ``name_next``. The rows that tie the end of the horizon to its
-        beginning are free unless a solve requires a cyclic end, and the final value is worth nothing unless
-        a solve sets its price.
+        ``name``, those at the end as ``name_next``.
+
+        Parameters
+        ----------
+        ends
+            Whether the terminal conditions of stored energy apply, to a quantity in MWh. The rows that tie
+            the end of the horizon to its beginning are free unless a solve requires a cyclic end, and the
+            final value is worth nothing unless a solve sets its price.
 
         Returns
         -------
@@ -343,18 +349,24 @@ class Model:
         start, end = values[:, horizon.parent + 1], values[:, np.arange(self.stages) + 1]
         self.publish(kind, name, start, unit=unit, description=f"{description} at the start of a stage")
         self.publish(kind, f"{name}_next", end, unit=unit, description=f"{description} at the end of a stage")
-        last = self.leaves(end)
+        ends = ends and unit == "MWh"
+        self.states[name] = State(name, kind, unit, "stock", initial, ends=ends)
+        if ends:
+            self._end(kind, name, values, self.leaves(end))
+        return start, end
+
+    def _end(self, kind: str, name: str, values: Expression, last: Expression) -> None:
+        """Declare the terminal conditions of a stock; see :meth:`stock`."""
+        horizon, items = self.horizon, np.arange(values.items)
         cyclic = self.build.rows(f"{name}_cyclic", values.items, last.stages, -np.inf, np.inf)
         self.build.add(last - values[:, 0], into=cyclic)
         tied = Soft(
-            "cyclic end", items, unit,
+            "cyclic end", items, self.states[name].unit,
             "ends {} short of where it began", "ends {} above where it began", "balance",
         )  # fmt: skip
         self.soften(kind, cyclic, tied, nodes=horizon.leaves)
         worth = self.build.parameter(f"{name}_end_price", 1) * last
         self.build.minimize(-self.probability_of(horizon.leaves) * worth)
-        self.states[name] = State(name, kind, unit, "stock", initial)
-        return start, end
 
     # Rows and costs ----------------------------------------------------------------------
 

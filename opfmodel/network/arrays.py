@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import networkx as nx
@@ -19,7 +20,7 @@ from scipy.sparse.linalg import spsolve
 
 from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Storage
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
@@ -33,7 +34,7 @@ Index = npt.NDArray[np.intp]
 
 
 # Kinds whose components may go out while the network is operated.
-OUTAGES = (Branch, Generator, Storage)
+OUTAGES = tuple(kind for kind in BUILT_IN if kind.lost)
 # Plausible capacity in per unit on the declared base, from single households on 100 MVA to continents.
 _SMALLEST, _LARGEST = 1e-5, 1e4
 _PLAUSIBLE_VM = 0.1, 10.0  # p.u.
@@ -46,8 +47,8 @@ class Table:
     A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
     gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
     per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
-    owners of segments (``segment_owner``) and flags are vectors. The ``status`` of a branch, generator or
-    storage is 1 in service and 0 while it is out.
+    owners of segments (``segment_owner``) and flags are vectors. The ``status`` of a component that may go
+    out is 1 in service and 0 while it is out.
 
     Attributes
     ----------
@@ -240,7 +241,7 @@ def per_unit(network: Network) -> PerUnitNetwork:
 
 def _lay_out(network: Network) -> PerUnitNetwork:
     notes: list[str] = []
-    raise_all(_errors_of_buses(network))
+    raise_all(chain(_errors_of_buses(network), _errors_of_weights(network)))
     every_bus = network.of(Bus)
     buses = {name: bus for name, bus in every_bus.items() if bus.in_service}
     kept = {
@@ -275,6 +276,7 @@ def _lay_out(network: Network) -> PerUnitNetwork:
         )
         for kind in kinds
     }
+    tables = {name: _with_weights(table, tables, kept) for name, table in tables.items()}
     islands = sorted(
         (sorted(i, key=position.__getitem__) for i in nx.connected_components(graph)),
         key=lambda i: position[i[0]],
@@ -351,6 +353,18 @@ def _errors_of_buses(network: Network) -> Iterator[ComponentError]:
                 yield ComponentError(name, key, bus, f"no such bus; {nearest(bus, known)}")
 
 
+def _errors_of_weights(network: Network) -> Iterator[ComponentError]:
+    """Yield an error for every name in a field of weights that is not one of its kinds."""
+    for name in network:
+        component = network[name]
+        for key, of in component.weight_fields().items():
+            known = [other for other in network if network[other].kind in of]
+            for member, weight in getattr(component, key).items():
+                if member not in known:
+                    rule = f"no {' or '.join(of)} has this name; {nearest(member, known)}"
+                    yield ComponentError(name, f"{key}.{member}", weight, rule)
+
+
 def _reference(
     members: list[str], buses: Mapping[str, Bus], kept: Mapping[str, Component]
 ) -> tuple[str, str]:
@@ -394,7 +408,8 @@ def _table(
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
             arrays |= _cost_arrays(values, base_mva)
-    if kind in OUTAGES:
+    arrays |= {name: np.zeros((len(members), 1)) for name in kind.clocked}
+    if kind.lost:
         arrays["status"] = np.ones((len(members), 1))
     for array in arrays.values():
         array.flags.writeable = False
@@ -404,6 +419,26 @@ def _table(
     if "status" in arrays:
         units |= {"status": ""}
     return Table(kind, tuple(members), arrays, units, base_mva)
+
+
+def _with_weights(table: Table, tables: Mapping[str, Table], kept: Mapping[str, Component]) -> Table:
+    """Return a table with the numbers that its components state for others; see :func:`weights`."""
+    made: dict[str, npt.NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    for key, of in table.kind.weight_fields().items():
+        unit = table.kind.fields()[key].metadata["unit"]
+        stated = [(i, getattr(kept[name], key)) for i, name in enumerate(table.names)]
+        for other in of:
+            position = tables[other].position if other in tables else {}
+            entries = [(i, position[n], w) for i, own in stated for n, w in own.items() if n in position]
+            owner, member, weight = np.array(entries, dtype=float).reshape(-1, 3).T
+            made[f"{key}_{other}_owner"] = owner.astype(np.intp)
+            made[f"{key}_{other}_member"] = member.astype(np.intp)
+            made[f"{key}_{other}"] = weight[:, None] / scale(unit, table.base_mva)
+            units[f"{key}_{other}"] = unit
+    for array in made.values():
+        array.flags.writeable = False
+    return replace(table, arrays={**table.arrays, **made}, units={**table.units, **units}) if made else table
 
 
 def _cost_arrays(costs: list[Cost], base_mva: float) -> dict[str, npt.NDArray[Any]]:

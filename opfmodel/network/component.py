@@ -6,8 +6,12 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
-from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform
 
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.data.calendar import Times
 from opfmodel.errors import ComponentError, ProfileError, close, nearest, raise_all
 from opfmodel.network.costs import COEFFICIENT_UNITS, Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.describe import documented
@@ -17,13 +21,15 @@ from opfmodel.network.fields import (
     is_flag,
     rules_of_number,
     rules_of_span,
+    rules_of_weights,
     type_of_bus,
     type_of_flag,
     type_of_number,
     type_of_span,
+    type_of_weights,
 )
 
-__all__ = ["Component", "component", "plain_value"]
+__all__ = ["Clocked", "Component", "component", "plain_value"]
 
 
 def _type_of_cost(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:
@@ -49,12 +55,29 @@ _TYPES: Mapping[str, _Check] = {
     "flag": type_of_flag,
     "bus": type_of_bus,
     "cost": _type_of_cost,
+    "weights": type_of_weights,
 }
 _RULES: Mapping[str, _Check] = {
     "number": rules_of_number,
     "span": rules_of_span,
     "cost": _rules_of_cost,
+    "weights": rules_of_weights,
 }
+
+
+class Clocked(NamedTuple):
+    """A quantity in the arrays of a kind of component that follows from the clock.
+
+    Attributes
+    ----------
+    unit
+        Its physical unit.
+    over
+        Its value over a stage of several steps: ``mean``, ``min`` or ``max``.
+    """
+
+    unit: str
+    over: str = "mean"
 
 
 class Component:
@@ -69,10 +92,17 @@ class Component:
     ----------
     kind, plural
         Name of the dimension in results, and name of the section in scenario files.
+    lost
+        Quantities of the arrays that are different while a component is out of service, and their values, if
+        it can go out while the network is operated.
+    clocked
+        Quantities of the arrays that follow from the clock, by name; see :meth:`at_clock`.
     """
 
     kind: ClassVar[str]
     plural: ClassVar[str]
+    lost: ClassVar[Mapping[str, float]] = {}
+    clocked: ClassVar[Mapping[str, Clocked]] = {}
     in_service: bool
 
     def __init_subclass__(cls) -> None:
@@ -134,6 +164,16 @@ class Component:
         else:
             self.check(name)
 
+    def at_clock(self, times: Times) -> Mapping[str, npt.NDArray[np.float64]]:  # noqa: ARG002
+        """Return the quantities in :attr:`clocked` in physical units, one value per step.
+
+        Parameters
+        ----------
+        times
+            The beginnings of the steps; its ``clock`` has the local times in hours.
+        """
+        return {}
+
     def resolved(self) -> Self:
         """Return the component with defaults that depend on other fields filled in."""
         return self
@@ -143,6 +183,12 @@ class Component:
     def fields(cls) -> Mapping[str, Field[Any]]:
         """Fields of the dataclass by name."""
         return {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def required(cls) -> list[str]:
+        """Names of the fields without a default."""
+        fields = cls.fields().items()
+        return [key for key, item in fields if item.default is MISSING and item.default_factory is MISSING]
 
     @classmethod
     @cache
@@ -168,7 +214,7 @@ class Component:
             for quantity in cls.quantities(name):
                 own = COEFFICIENT_UNITS[quantity] if form == "cost" else unit
                 made[quantity] = TableField(form, own, item.metadata.get("series", True))
-        return made
+        return made | {name: TableField("clock", own.unit, False) for name, own in cls.clocked.items()}
 
     @classmethod
     @cache
@@ -184,6 +230,8 @@ class Component:
         ('mean', 'min', 'max')
         """
         known = cls.fields()
+        if key in cls.clocked:
+            return cls.clocked[key].over
         if key in known:
             return str(known[key].metadata.get("over", "mean"))
         stem, _, end = key.rpartition("_")
@@ -221,7 +269,7 @@ class Component:
         if of is not None and of.form == "span":
             pair = getattr(component, stem)
             return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))
-        if of is not None:
+        if of is not None and of.form == "cost":
             (cost,) = (
                 getattr(component, name) for name, item in known.items() if item.metadata["form"] == "cost"
             )
@@ -236,6 +284,13 @@ class Component:
     def bus_fields(cls) -> tuple[str, ...]:
         """Names of the fields that refer to a bus."""
         return tuple(name for name, item in cls.fields().items() if item.metadata["form"] == "bus")
+
+    @classmethod
+    @cache
+    def weight_fields(cls) -> Mapping[str, tuple[str, ...]]:
+        """Fields that hold numbers for other components, and the kinds of these."""
+        forms = cls.fields().items()
+        return {key: item.metadata["of"] for key, item in forms if item.metadata["form"] == "weights"}
 
     @classmethod
     def unlimited(cls, key: str) -> float | None:
@@ -269,8 +324,7 @@ class Component:
         ComponentError
             A field is unknown, missing, or invalid (see :meth:`check_declared`).
         """
-        required = {key for key, item in cls.fields().items() if item.default is MISSING}
-        if not required <= values.keys() <= cls.fields().keys():
+        if not set(cls.required()) <= values.keys() <= cls.fields().keys():
             raise_all(cls.errors_of_mapping(name, values))
         component = cls(**cls.converted(values))
         component.check_declared(name)
@@ -289,7 +343,7 @@ class Component:
         """
         known = cls.fields()
         unknown = [key for key in values if key not in known]
-        missing = [k for k, item in known.items() if item.default is MISSING and k not in values]
+        missing = [key for key in cls.required() if key not in values]
         meant = {field for key in unknown for field in close(key, known)}
         if len(unknown) == len(missing) == 1:
             meant |= set(missing)
@@ -337,6 +391,8 @@ def plain_value(item: Field[Any], value: Any) -> Any:
             )
         if set(value) <= {"c2", "c1", "c0"}:
             return Polynomial(**value)
+    if form == "weights" and isinstance(value, Mapping):
+        return {str(name): number for name, number in value.items()}
     if form == "bus" and isinstance(value, int) and not isinstance(value, bool):
         return str(value)
     if form == "span" and isinstance(value, Sequence) and not isinstance(value, str):

@@ -31,7 +31,7 @@ def type_of(item: Field[Any]) -> str:
     if item.metadata["form"] == "span" and item.metadata["symmetric"]:
         return "range or number"
     form: str = item.metadata["form"]
-    return {"span": "range", "flag": "boolean", "bus": "name"}.get(form, form)
+    return {"span": "range", "flag": "boolean", "bus": "name", "weights": "numbers by name"}.get(form, form)
 
 
 def unit_of(item: Field[Any]) -> str:
@@ -48,11 +48,13 @@ def unit_of(item: Field[Any]) -> str:
 
 def default_of(item: Field[Any]) -> str:
     """Return the default of a field as it is written in a file; ``required`` if it has none."""
-    value = item.default
+    value = item.default if item.default_factory is MISSING else item.default_factory()
     if value is MISSING:
         return "required"
     if value is None or isinstance(value, bool):
         return {None: "none", True: "true", False: "false"}[value]
+    if isinstance(value, Mapping):
+        return "{}"
     if isinstance(value, Polynomial):
         return f"{{c2: {value.c2:g}, c1: {value.c1:g}, c0: {value.c0:g}}}"
     return f"[{', '.join(map(_number, value))}]" if isinstance(value, tuple) else _number(value)

@@ -23,11 +23,14 @@ __all__ = [
     "number",
     "rules_of_number",
     "rules_of_span",
+    "rules_of_weights",
     "span",
     "type_of_bus",
     "type_of_flag",
     "type_of_number",
     "type_of_span",
+    "type_of_weights",
+    "weights",
 ]
 
 INF = math.inf
@@ -137,6 +140,26 @@ def cost_of(default: Any, description: str) -> Any:
     return field(default=default, metadata={"form": "cost", "unit": "", "description": description})
 
 
+def weights(unit: str, *, of: Sequence[str], default: Any = MISSING, description: str = "") -> Any:
+    """Declare a field that holds a number for each of some components, by name.
+
+    The arrays hold one entry per name, by kind of the named component: ``<field>_<kind>``, the numbers, and
+    ``<field>_<kind>_owner`` and ``<field>_<kind>_member``, the positions of the component that declares the
+    field and of the named one.
+
+    Parameters
+    ----------
+    of
+        Kinds of the components that may be named.
+    unit, description
+        As for :func:`number`.
+    """
+    metadata = {"form": "weights", "unit": unit, "series": False, "of": tuple(of), "description": description}
+    if default is MISSING:
+        return field(metadata=metadata)
+    return field(default_factory=lambda: dict(default), metadata=metadata)
+
+
 class TableField(NamedTuple):
     """A quantity in the arrays of a kind of component.
 
@@ -216,6 +239,21 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
         )
     if low < rules["at_least"]:
         raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")
+
+
+def type_of_weights(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is a mapping of names to numbers."""
+    if not isinstance(value, Mapping) or not all(
+        isinstance(member, str) and is_number(weight) for member, weight in value.items()
+    ):
+        raise ComponentError(name, key, value, f"must be {{name: number, ...}}, with numbers{_unit(rules)}")
+
+
+def rules_of_weights(name: str, key: str, value: Mapping[str, Any], _: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` for a number that is not finite."""
+    for member, number in value.items():
+        if not bounded(number):
+            raise ComponentError(name, f"{key}.{member}", number, _FINITE)
 
 
 def type_of_flag(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:

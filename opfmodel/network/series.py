@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest, raise_all
 from opfmodel.network.arrays import PerUnitNetwork
@@ -16,7 +17,16 @@ from opfmodel.network.costs import PiecewiseLinear
 from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
-__all__ = ["check_finite", "check_series", "faults_of_keys", "fields_with_series", "widest", "window"]
+__all__ = [
+    "check_finite",
+    "check_series",
+    "clocked",
+    "clocked_fields",
+    "faults_of_keys",
+    "fields_with_series",
+    "widest",
+    "window",
+]
 
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
@@ -187,6 +197,23 @@ def window(
         factor = scale(table.units[key.field], network.base_mva)
         out[kind, key.field][position] = values[steps % len(values)] / factor
     return out
+
+
+def clocked(network: Network, arrays: PerUnitNetwork, times: Times) -> Fields:
+    """Quantities that follow from the clock, per unit ``(items, steps)`` by ``(kind, field)``."""
+    out: Fields = {}
+    for kind, field in clocked_fields(arrays):
+        table = arrays.tables[kind]
+        values = [network[name].resolved().at_clock(times)[field] for name in table.names]
+        out[kind, field] = np.array(values) / scale(table.units[field], arrays.base_mva)
+    return out
+
+
+def clocked_fields(arrays: PerUnitNetwork) -> list[tuple[str, str]]:
+    """``(kind, field)`` pairs of the quantities that follow from the clock, of components in service."""
+    return [
+        (kind, field) for kind, table in arrays.tables.items() if len(table) for field in table.kind.clocked
+    ]
 
 
 def _placed(profiles: Profiles, network: PerUnitNetwork) -> Iterator[tuple[SeriesKey, str, int, Array]]:

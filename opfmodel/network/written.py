@@ -44,6 +44,8 @@ def without_units(
             return number(key, value, unit)
         if form == "cost" and isinstance(value, Mapping):
             return {part: cost(key, part, inner) for part, inner in value.items()}
+        if form == "weights" and isinstance(value, Mapping):
+            return {member: number(key, weight, unit) for member, weight in value.items()}
         return value
 
     def cost(key: str, part: str, value: Any) -> Any:

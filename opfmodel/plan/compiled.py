@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from opfmodel.errors import IncompatibleError, ModelError, QuantityError, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Model
-from opfmodel.network.series import fields_with_series, widest
+from opfmodel.network.series import clocked_fields, fields_with_series, widest
 from opfmodel.plan.outages import lost_fields, status_at
 from opfmodel.plan.parts import absent_devices, publishing
 from opfmodel.plan.result import penalty_outputs
@@ -73,8 +73,9 @@ def compiled(problem: MultiStage) -> Compiled:
     shrinking = None
     if problem.at_end == "shrink" and problem.stages > 1:
         stocks = [name for name, state in model.states.items() if state.role == "stock"]
+        ending = [name for name in stocks if model.states[name].ends]
         shrinking = Shrinking(
-            program, problem.stages, stocks, [*(f"{name}_cyclic" for name in stocks), SHORTAGE]
+            program, problem.stages, stocks, [*(f"{name}_cyclic" for name in ending), SHORTAGE]
         )
     session = prepare(program, problem.solver, problem.options, problem.verbose)
     return Compiled(model, program, session, shrinking, clock.perf_counter() - began)
@@ -97,6 +98,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         zones=problem.formulation.zones(problem.arrays),
         series={
             *fields_with_series(problem.profiles, problem.arrays),
+            *clocked_fields(problem.arrays),
             *own,
             *outage_fields(problem.security, horizon),
             *lost,

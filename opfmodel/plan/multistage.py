@@ -25,7 +25,7 @@ from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Publ
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
-from opfmodel.network.series import check_series, window
+from opfmodel.network.series import check_series, clocked, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.compiled import Compiled, compiled, declared
@@ -558,7 +558,9 @@ class MultiStage:
     def _series(self, start: int, steps: int, objective: Objective | None = None) -> Fields:
         """Return the time series of a window by ``(kind, field)``, per unit ``(items, steps)``."""
         repeats = self.at_end == "repeat"
+        times = Times(np.arange(start, start + steps), self.step, self.profiles.calendar)
         series = window(self.profiles, self.arrays, start, steps, repeats)
+        series |= clocked(self.network, self.arrays, times)
         objective = self.objective if objective is None else objective
         for key, values in self.series_of(objective).items():
             known = values.shape[1]

@@ -96,7 +96,7 @@ class Numbers:
     def end_with(self, name: str, end: End, out: npt.NDArray[np.bool_]) -> None:
         """Apply the terminal conditions to stored energy, except where the storage is out of service."""
         state = self.model.states[name]
-        if state.is_energy:
+        if state.ends:
             if end.cyclic:
                 lower, upper = self._bounds(f"{name}_cyclic")
                 lower[~out] = upper[~out] = 0.0

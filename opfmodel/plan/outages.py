@@ -15,7 +15,7 @@ import numpy.typing as npt
 from opfmodel.errors import ModelError, SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
-from opfmodel.network.arrays import Index, PerUnitNetwork
+from opfmodel.network.arrays import OUTAGES, Index, PerUnitNetwork
 from solvers import Program
 
 __all__ = [
@@ -37,13 +37,8 @@ Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
 Status = Mapping[str, Array]  # 1 in service, 0 while it is out, ``(items, nodes)`` by kind
 
-_FREE = 4 * np.pi  # rad; no angle difference is limited to it
 # What a component that is out of service is limited to.
-_LOST: Mapping[str, Mapping[str, float]] = {
-    "branch": {"status": 0.0, "angle_min": -_FREE, "angle_max": _FREE},
-    "generator": {"status": 0.0, "p_min": 0.0, "p_max": 0.0, "q_min": 0.0, "q_max": 0.0, "ramp": np.inf},
-    "storage": {"status": 0.0, "power_min": 0.0, "power_max": 0.0, "q_min": 0.0, "q_max": 0.0},
-}
+_LOST: Mapping[str, Mapping[str, float]] = {kind.kind: {"status": 0.0, **kind.lost} for kind in OUTAGES}
 STATUS = "", "1 in service, 0 while it is out of service"
 """Unit and description of a status in results."""
 # Cost of a generator that does not generate; it counts in no contingency.
@@ -65,7 +60,7 @@ def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, 
     for name in made:
         if name not in known:
             raise ModelError(
-                f"outages: {shown(name)}: no branch, generator or storage in service has this name; "
+                f"outages: {shown(name)}: no {' or '.join(_LOST)} in service has this name; "
                 f"{nearest(str(name), known)}"
             )
         check_whole((name,), network, "outages")

@@ -13,7 +13,7 @@ from opfmodel.errors import SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
 from opfmodel.model.declared import Bound
-from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import OUTAGES, Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.network import name_pattern
 from opfmodel.network.shares import divide
@@ -26,7 +26,7 @@ __all__ = ["NOTHING", "Security", "at_contingencies", "outage_fields", "rating_a
 Array = npt.NDArray[np.float64]
 Fields = dict[tuple[str, str], Array]
 
-KINDS = {"branches": "branch", "generators": "generator", "storages": "storage"}
+KINDS = {kind.plural: kind.kind for kind in OUTAGES}
 
 # A preventive response takes no time: neither ramps nor energy limit it.
 _HELD: Mapping[tuple[str, str], float] = {("generator", "ramp"): np.inf}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import MISSING, Field
+from dataclasses import Field
 from typing import Any
 
 from opfmodel.network.component import Component
@@ -42,7 +42,7 @@ def _component(kind: type[Component]) -> Schema:
         "type": "object",
         "description": first_line(kind),
         "properties": {name: _field(item) for name, item in fields.items()},
-        "required": [name for name, item in fields.items() if item.default is MISSING],
+        "required": kind.required(),
         "additionalProperties": False,
         **({"if": out, "else": {"properties": bounds}} if bounds else {}),
     }
@@ -59,6 +59,8 @@ def _field(item: Field[Any]) -> Schema:
         form = [pair, *_shared(number)] if rules["symmetric"] else [pair]
     elif rules["form"] == "cost":
         form = _cost()
+    elif rules["form"] == "weights":
+        form = [{"type": "object", "additionalProperties": {"anyOf": number}}]
     else:
         form = [{"type": "boolean"}] if rules["form"] == "flag" else [{"type": "string"}, {"type": "integer"}]
     made: Schema = form[0] if len(form) == 1 else {"anyOf": form}

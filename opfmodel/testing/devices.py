@@ -39,7 +39,7 @@ def check_device(device: Device, example: Component) -> None:
     """Raise :class:`ContractError` unless a device satisfies its contract.
 
     - Its component is a frozen dataclass of declared fields.
-    - It declares the same quantities under every formulation, and injects power into the balance.
+    - It declares the same quantities under every formulation, and injects power at its buses if it has some.
     - With a linear network, the program is at most conic and every cost is convex.
     - Its own cost is finite and convex, has one value per stage, and is the same when evaluated
       numerically and in the program.
@@ -98,7 +98,6 @@ def _check_component(rules: Contract, device: Device, example: Component) -> Non
         strange = [f.name for f in component.fields().values() if f.metadata["unit"] not in UNITS]
         example.check("example")
         rules.require(not strange, "its fields have known units", ", ".join(strange))
-        rules.require(component.bus_fields(), "its component has a bus")
     silent = [f.name for f in component.fields().values() if not f.metadata.get("description")]
     rules.require(not silent, "its fields are described", ", ".join(silent))
     rules.require("in_service" in component.fields(), "its component has the field in_service")
@@ -135,7 +134,8 @@ def _check_declarations(rules: Contract, device: Device, grid: Network) -> None:
     for formulation in _formulations():
         for horizon in HORIZONS:
             model, injected = _declared(rules, device, grid, formulation, horizon)
-            rules.require(injected, "injects power into the balance (model.inject)")
+            at_bus = bool(device.component.bus_fields())
+            rules.require(bool(injected) == at_bus, "injects power where it has a bus (model.inject)")
             names = {name for name, p in model.published.items() if p.kind == device.component.kind}
             same = names == seen.setdefault(formulation.reactive, names)
             found = f"{', '.join(sorted(names))} with {formulation.name}"

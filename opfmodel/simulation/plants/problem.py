@@ -108,6 +108,12 @@ class ACPlant(Plant):
         self._last = found if found.optimal else None
         return found
 
+    def stocks(self, plan: Plan) -> dict[str, Array]:
+        """Return the stored quantities before the step that the own problem has, in physical units."""
+        assert self._own is not None
+        own = self._own.model.states
+        return {name: values for name, values in plan.stocks().items() if values.size and name in own}
+
     @staticmethod
     def _values(aims: Values, found: Plan) -> Values:
         """Return the physical state by quantity, or the set-points alone if there is none."""

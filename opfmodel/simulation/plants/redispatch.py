@@ -74,8 +74,7 @@ class Redispatch(ACPlant):
         base = network.base_mva
         before = None if self._before is None else self._before * base
         dispatch = {"pg": before, "qg": None} if len(network.generator) else {}
-        stocks = {name: values for name, values in plan.stocks().items() if values.size}
-        initial = {**dispatch, **stocks}
+        initial = {**dispatch, **self.stocks(plan)}
         window = self._set_points.targets(network, aims)
         for kind, field in self._set_points.fields:
             window[kind, field] = network.tables[kind].arrays[field]

@@ -1,0 +1,55 @@
+"""Generators."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.trajectories import Array, Complex
+from opfmodel.network.components import Generator
+from opfmodel.network.costs import PiecewiseLinear
+
+__all__ = ["Generators"]
+
+
+class Generators(Equipment):
+    """Active and reactive power limits, ramps and costs."""
+
+    component = Generator
+
+    def check(self) -> None:
+        """Check limits and ramps; a ramp is known only where the dispatch before it is."""
+        checker, units = self.checker, self.items
+        checker.inside("generator p", units, units.values("pg"), units.left("p"), "MW")
+        if checker.reactive:
+            checker.inside("generator q", units, units.values("qg"), units.left("q"), "MVAr")
+        ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
+        known = checker.previous_pg or {}
+        before = np.array([known.get(name, math.nan) for name in ramped.names]).reshape(-1, 1)
+        change = np.abs(np.diff(ramped.values("pg"), axis=1, prepend=before))
+        change[np.diff(ramped.status(), axis=1, prepend=1.0) != 0] = 0.0  # a unit trips, or returns
+        change[np.isnan(change)] = 0.0
+        between = 0.5 * (checker.hours + np.concatenate([checker.hours[:1], checker.hours[:-1]]))
+        checker.note("ramp", ramped.names, change - ramped.number("ramp") * between, "MW")
+
+    def power(self) -> Iterator[tuple[list[str], Complex]]:
+        """Yield what is generated."""
+        yield self.items.each("bus"), self.checker.power("pg", "qg", self.items)
+
+    def cost_rate(self) -> Array:
+        """Cost of active generation, from the declared cost functions."""
+        piecewise = [isinstance(cost, PiecewiseLinear) for cost in self.items.each("cost")]
+        smooth, linear = self.items.where([not p for p in piecewise]), self.items.where(piecewise)
+        costs, pg = replace(smooth, members=smooth.each("cost")), smooth.values("pg")
+        rate = costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")
+        rate = (rate * smooth.status()).sum(axis=0)
+        for cost, dispatch, status in zip(
+            linear.each("cost"), linear.values("pg"), linear.status(), strict=True
+        ):
+            slope, offset = np.array(cost.segments).T[:, :, None]
+            rate += status * (slope * dispatch + offset).max(axis=0)  # convex: the maximum over the segments
+        return np.asarray(rate)

@@ -1,0 +1,53 @@
+"""Storages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.trajectories import Array, Complex
+from opfmodel.network.components import Storage
+
+__all__ = ["Storages"]
+
+
+class Storages(Equipment):
+    """Power and apparent-power limits and, unless the data have no energy, that of each storage."""
+
+    component = Storage
+
+    def check(self) -> None:
+        """Check power, rating and energy."""
+        checker, units = self.checker, self.items
+        ps = units.values("ps")
+        qs = units.values("qs") if checker.reactive else np.zeros_like(ps)
+        checker.inside("storage power", units, ps, units.left("power"), "MW")
+        checker.inside("storage q", units, qs, units.left("q"), "MVAr")
+        checker.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
+        if checker.has("e", "e_next") or not units.names:
+            self._check_energy(ps)
+        else:  # a power flow is the state of one moment
+            checker.leave_out("stored energy: the results do not include it")
+
+    def _check_energy(self, ps: Array) -> None:
+        """Check energy limits and the energy balance of each storage."""
+        checker, units = self.checker, self.items
+        e, e_next = units.values("e"), units.values("e_next")
+        limits = units.number("energy_min"), units.number("energy")
+        checker.inside("storage energy", units, e_next, limits, "MWh")
+        checker.continuous("energy continuity", units, e, e_next, "MWh")
+        stored = (e_next - (1 - units.constant("standing_loss") * checker.hours) * e) / checker.hours
+        # a given net power stores the most energy without simultaneous charging and discharging
+        gain, drain = units.constant("charge_efficiency"), 1 / units.constant("discharge_efficiency")
+        most = np.where(ps >= 0, gain * ps, drain * ps)
+        lossy = gain < drain
+        excess = np.where(lossy, stored - most, np.abs(stored - ps))
+        checker.note("storage dynamics", units.names, excess, "MW")
+        wasted = np.divide(most - stored, drain - gain, out=np.zeros_like(ps), where=lossy).max(axis=1)
+        checker.report.simultaneous = float(np.fmax.reduce(wasted, initial=0.0)) / checker.base
+
+    def power(self) -> Iterator[tuple[list[str], Complex]]:
+        """Yield what is discharged."""
+        yield self.items.each("bus"), -self.checker.power("ps", "qs", self.items)

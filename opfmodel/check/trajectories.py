@@ -1,0 +1,162 @@
+"""Trajectories, time series and declared fields as arrays, for a check."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import chain, compress
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.data.calendar import shown_in
+from opfmodel.data.series import Profiles, SeriesKey
+from opfmodel.errors import ProfileError, ResultError
+from opfmodel.network.component import Component
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Array", "Bounds", "Complex", "Items", "Series", "Trajectories"]
+
+Array = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complexfloating]
+Series = Mapping[Any, npt.ArrayLike]
+Bounds = tuple[Array, Array]
+
+
+def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
+    """Hours at which the stages begin, and a function that returns the beginning of one as text."""
+    times = data["time"].values
+    if not np.issubdtype(times.dtype, np.datetime64):
+        hours = np.asarray(times, dtype=float)
+        return hours, lambda stage: f"hour {hours[stage]:g}"
+    zone = str(data["time"].attrs.get("zone", "UTC"))
+    return (times - times[:1]) / np.timedelta64(1, "h"), lambda stage: shown_in(times[stage], zone)
+
+
+class Trajectories:
+    """Trajectories and time series as arrays ``(items, stages)``."""
+
+    def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
+        self.data = data
+        self.times, self.moments = _times(data)
+        base = float(data.attrs.get("step_hours", 1.0))
+        self.hours = np.asarray(data["hours"].values if "hours" in data else np.full(len(self.times), base))
+        lengths = np.rint(self.hours / base).astype(int)  # in steps of the series
+        self.begins = first + np.cumsum(lengths) - lengths
+        self.ends = self.begins + lengths
+        self.series = Profiles.of(series)
+        self.changing = {key.field for key in self.series}
+        self.positions: dict[str, dict[str, int]] = {}
+
+    def has(self, *quantities: str) -> bool:
+        """Whether the data contain all given quantities."""
+        return all(quantity in self.data for quantity in quantities)
+
+    def position(self, kind: str) -> dict[str, int]:
+        """Position of each component of a kind in the data."""
+        if kind not in self.positions:
+            names = self.data[kind].values.tolist() if kind in self.data.coords else []
+            self.positions[kind] = {name: i for i, name in enumerate(names)}
+            if len(self.positions[kind]) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise ResultError(f"data: {kind}: {twice!r} occurs more than once; names must be unique")
+        return self.positions[kind]
+
+    def of(self, quantity: str, names: list[str]) -> Array:
+        """Values of a quantity for the named components, in its physical unit."""
+        if not names:  # the quantity may be missing if there are no components
+            return np.zeros((0, len(self.times)))
+        if quantity not in self.data:
+            raise ResultError(f"data: no such quantity: {quantity!r}")
+        array = self.data[quantity].variable
+        kind = next(str(d) for d in array.dims if d != "time")
+        position = self.position(kind)
+        values = np.asarray(array.transpose(kind, "time").values, dtype=float)
+        lacking = next((name for name in names if name not in position), None)
+        if lacking is not None:
+            raise ResultError(f"data: {kind}: {quantity!r} has no values of {lacking!r}")
+        return values[[position[name] for name in names]]
+
+    def declared(self, field: str, names: list[str], constants: Array, rule: str) -> Array:
+        """Values of a field: ``constants`` of shape ``(items, 1)``, replaced by time series where given.
+
+        Over a stage of several steps the rule applies: ``mean``, or ``min`` and ``max`` of limits.
+        """
+        end = int(self.ends.max(initial=0))
+        keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}
+        changing = {i: self.series[key] for i, key in keys.items() if key in self.series}
+        values = np.repeat(constants, len(self.times), axis=1) if changing else constants
+        over: Mapping[str, Callable[..., Any]] = {"mean": np.mean, "min": np.min, "max": np.max}
+        for i, whole in changing.items():
+            if len(whole) < end:
+                raise ProfileError(
+                    f"profile {str(keys[i])!r}: has {len(whole)} values; {end} are needed", keys[i]
+                )
+            values[i] = [over[rule](whole[b:e]) for b, e in zip(self.begins, self.ends, strict=True)]
+        return values
+
+
+@dataclass(frozen=True)
+class Items:
+    """Components of one kind. Fields have shape ``(items, 1)``, or ``(items, stages)`` with time series."""
+
+    names: list[str]
+    members: list[Any]
+    trajectories: Trajectories
+    kind: str
+
+    def where(self, mask: npt.ArrayLike) -> Items:
+        """Select components by a Boolean mask."""
+        chosen = np.asarray(mask, dtype=bool).tolist()
+        return replace(self, names=[*compress(self.names, chosen)], members=[*compress(self.members, chosen)])
+
+    def values(self, quantity: str) -> Array:
+        """Values of a quantity for all components, in its physical unit."""
+        return self.trajectories.of(quantity, self.names)
+
+    def each(self, field: str) -> list[Any]:
+        """Declared values of a field for all components."""
+        return list(map(attrgetter(field), self.members))
+
+    def constant(self, field: str) -> Array:
+        """Values of a number field for all components; None becomes infinity (no limit)."""
+        values = [math.inf if value is None else value for value in self.each(field)]
+        return np.array(values, dtype=float)[:, None]
+
+    def span(self, field: str) -> Bounds:
+        """Minimum and maximum for all components; a single number ``a`` stands for ``(-a, a)``."""
+        pairs = [pair if isinstance(pair, tuple | list) else (-pair, pair) for pair in self.each(field)]
+        ends = np.fromiter(chain.from_iterable(pairs), dtype=float).reshape(-1, 2)
+        return ends[:, :1], ends[:, 1:]
+
+    def number(self, field: str) -> Array:
+        """Values of a number field for all components, including time series."""
+        return self._declared(field, self.constant(field))
+
+    def bounds(self, field: str) -> Bounds:
+        """Minimum and maximum for all components, including time series."""
+        low, high = self.span(field)
+        return self._declared(f"{field}_min", low), self._declared(f"{field}_max", high)
+
+    def status(self) -> Array:
+        """1 where a component is in service and 0 where it is out; in service if the data do not say."""
+        name = f"{self.kind}_status"
+        if not (self.names and self.trajectories.has(name)):
+            return np.ones((len(self.names), len(self.trajectories.times)))
+        return (self.values(name) > 0).astype(float)
+
+    def left(self, field: str) -> Bounds:
+        """Minimum and maximum for all components, which are zero while one is out of service."""
+        low, high = self.bounds(field)
+        status = self.status() > 0
+        return np.where(status, low, 0.0), np.where(status, high, 0.0)
+
+    def _declared(self, field: str, constants: Array) -> Array:
+        one = self.members[0] if self.members else None
+        rule = one.over(field) if isinstance(one, Component) else "mean"
+        return self.trajectories.declared(field, self.names, constants, rule)

@@ -1,0 +1,20 @@
+"""Built-in kinds of components, one file each.
+
+Quantities are in physical units: MW, MVAr, MVA, MWh, hours, degrees and $. Impedances are per unit on the
+network's ``base_mva``, and voltages are per unit.
+"""
+
+from __future__ import annotations
+
+from opfmodel.network.component import Component
+from opfmodel.network.components.branch import Branch
+from opfmodel.network.components.bus import Bus
+from opfmodel.network.components.generator import Generator
+from opfmodel.network.components.load import Load
+from opfmodel.network.components.shunt import Shunt
+from opfmodel.network.components.storage import Storage
+
+__all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Shunt", "Storage"]
+
+BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+"""Kinds of this package; devices from other packages define their own."""

@@ -1,0 +1,69 @@
+"""Generators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from opfmodel.network.component import Component, component
+from opfmodel.network.costs import Cost, Polynomial
+from opfmodel.network.fields import INF, at_bus, cost_of, flag, in_service, number, span
+
+__all__ = ["Generator"]
+
+
+@component
+class Generator(Component):
+    """A generating unit at a bus."""
+
+    kind: ClassVar[str] = "generator"
+    plural: ClassVar[str] = "generators"
+    lost: ClassVar[Mapping[str, float]] = {"p_min": 0, "p_max": 0, "q_min": 0, "q_max": 0, "ramp": INF}
+
+    bus: str = at_bus()
+    p: tuple[float, float] = span("MW", averaged=True, description="(min, max) of active power.")
+    q: tuple[float, float] = span("MVAr", (-INF, INF), description="(min, max) of reactive power.")
+    ramp: float | None = number(
+        "MW/h",
+        None,
+        at_least=0.0,
+        optional=True,
+        finite=False,
+        description="Maximum change of active power; none for no limit.",
+    )
+    cost: Cost = cost_of(Polynomial(), "Cost of active power: a Polynomial or PiecewiseLinear.")
+    pg_set: float | None = number(
+        "MW",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of active power in a power flow; none for 0, within the limits.",
+    )
+    qg_set: float | None = number(
+        "MVAr",
+        None,
+        optional=True,
+        series=False,
+        description="Set-point of reactive power in a power flow; none for 0, within the limits.",
+    )
+    vm_set: float | None = number(
+        "p.u.",
+        None,
+        above=0.0,
+        optional=True,
+        series=False,
+        description="Set-point of the voltage at its bus in a power flow; none for 1, within its limits.",
+    )
+    regulates: bool = flag(
+        True, "Whether the generator holds vm_set in a power flow; otherwise it injects qg_set."
+    )
+    participation: float | None = number(
+        "",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Weight in the distributed slack of a power flow, relative to the other generators of "
+        "its island; none for p_max if it regulates, else 0.",
+    )
+    in_service: bool = in_service()
