@@ -14,7 +14,7 @@ from solvers.errors import (
     UnknownSolverError,
     UnsupportedProgramError,
 )
-from solvers.expression import Constraint, Expression, Sum, largest, largest_by, total
+from solvers.expression import Constraint, Expression, Sum, largest, largest_by, stacked, total
 from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
 from solvers.program import Block, Cone, Epigraph, Instance, Output, Placement, Program
 from solvers.solution import Solution, Start
@@ -80,6 +80,7 @@ __all__ = [
     "proves_infeasible",
     "rescan",
     "solve",
+    "stacked",
     "standard_form",
     "total",
 ]

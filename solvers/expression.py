@@ -25,7 +25,7 @@ from solvers.program import Array, Index
 if TYPE_CHECKING:
     from solvers.builder import ProgramBuilder
 
-__all__ = ["Constraint", "Expression", "Leaf", "Sum", "largest", "largest_by", "total"]
+__all__ = ["Constraint", "Expression", "Leaf", "Sum", "largest", "largest_by", "stacked", "total"]
 
 LeafKind = Literal["variable", "parameter", "constant"]
 
@@ -412,6 +412,27 @@ def total(values: Any) -> Any:
         return Sum((values,))
     array = np.asarray(values, dtype=float)
     return array.sum(axis=0)
+
+
+def stacked(*values: Expression) -> Expression:
+    """Join the items of variables that have the same stages, one block after the other.
+
+    Raises
+    ------
+    ProgramError
+        A value is not a variable itself, but a formula.
+    """
+    sources = []
+    for value in values:
+        leaves = list(value.leaves.values())
+        if (
+            len(leaves) != 1
+            or leaves[0].kind != "variable"
+            or not ca.is_equal(value.formula, leaves[0].symbol)
+        ):
+            raise ProgramError("only variables can be stacked, not formulas of them")
+        sources.append(np.broadcast_to(leaves[0].source, value.shape))
+    return reference(values[0].builder, "variable", np.concatenate(sources).astype(np.intp))
 
 
 def largest(*values: Any) -> Any:

@@ -129,8 +129,12 @@ class Items:
         return np.array(values, dtype=float)[:, None]
 
     def span(self, field: str) -> Bounds:
-        """Minimum and maximum for all components; a single number ``a`` stands for ``(-a, a)``."""
-        pairs = [pair if isinstance(pair, tuple | list) else (-pair, pair) for pair in self.each(field)]
+        """Minimum and maximum; a number a stands for (-a, a) or, in an adjustable field, for itself."""
+        fixed = any(member.fields()[field].metadata["form"] == "adjustable" for member in self.members[:1])
+        pairs = [
+            pair if isinstance(pair, tuple | list) else (pair if fixed else -pair, pair)
+            for pair in self.each(field)
+        ]
         ends = np.fromiter(chain.from_iterable(pairs), dtype=float).reshape(-1, 2)
         return ends[:, :1], ends[:, 1:]
 
@@ -142,6 +146,14 @@ class Items:
         """Minimum and maximum for all components, including time series."""
         low, high = self.span(field)
         return self._declared(f"{field}_min", low), self._declared(f"{field}_max", high)
+
+    def neutral(self, field: str) -> Array:
+        """Constants of an adjustable field, or the values in its ranges nearest to its default."""
+        return np.array([member.neutral(field) for member in self.members], dtype=float).reshape(-1, 1)
+
+    def setting(self, quantity: str, field: str) -> Array:
+        """Values that were decided for an adjustable field, if the data have them, else neutral ones."""
+        return self.values(quantity) if self.trajectories.has(quantity) else self.neutral(field)
 
     def status(self) -> Array:
         """1 where a component is in service and 0 where it is out; in service if the data do not say."""

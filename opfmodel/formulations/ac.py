@@ -13,8 +13,9 @@ from opfmodel.formulations.base import (
     soft_voltage,
     transport,
 )
+from opfmodel.formulations.settings import flows
 from opfmodel.model import Model
-from opfmodel.network.physics import branch_flow, polar_products
+from opfmodel.network.physics import polar_products
 
 __all__ = ["AC"]
 
@@ -27,7 +28,8 @@ class AC(Formulation):
         S_t = y_{tt}^* v_t^2 + y_{tf}^* v_f v_t e^{-j\theta}, \quad
         |S_f|, |S_t| \le rating, \quad \theta_{min} \le \theta \le \theta_{max}
 
-    with :math:`\theta = \theta_f - \theta_t`. Source: Zimmerman and Murillo-Sánchez, MATPOWER
+    with :math:`\theta = \theta_f - \theta_t`. The ratio and the phase shift of a transformer in the
+    admittances may be decided. Source: Zimmerman and Murillo-Sánchez, MATPOWER
     User's Manual, sections 3 and 6.1.
     """
 
@@ -50,7 +52,7 @@ class AC(Formulation):
         shunts(model, vm**2)
         f, t = branch.from_bus, branch.to_bus
         angle = va[f] - va[t]
-        flows = branch_flow(model.admittance, *polar_products(vm[f], vm[t], angle))
-        publish_flows(model, *flows)
-        transport(model, *flows)
+        power = flows(model, *polar_products(vm[f], vm[t], angle))
+        publish_flows(model, *power)
+        transport(model, *power)
         limit_angle(model, angle)

@@ -12,8 +12,9 @@ from opfmodel.formulations.base import (
     soft_voltage,
     transport,
 )
+from opfmodel.formulations.settings import flows
 from opfmodel.model import Model
-from opfmodel.network.physics import branch_flow, rectangular_products
+from opfmodel.network.physics import rectangular_products
 from solvers import Expression
 
 __all__ = ["ACRectangular"]
@@ -62,7 +63,7 @@ class ACRectangular(Formulation):
         shunts(model, w)
         f, t = branch.from_bus, branch.to_bus
         products = rectangular_products(vr[f], vi[f], vr[t], vi[t])
-        flows = branch_flow(model.admittance, *products)
-        publish_flows(model, *flows)
-        transport(model, *flows)
+        power = flows(model, *products)
+        publish_flows(model, *power)
+        transport(model, *power)
         limit_products(model, products[2], products[3])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
-from opfmodel.model import Model, Soft
+from opfmodel.formulations.settings import adjustable, cost_of_moves, relaxed_shunts, switched_shunts
+from opfmodel.model import Model, Soft, Stage
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from solvers import Expression, Solution
 
@@ -73,6 +74,10 @@ class Formulation:
         """Declare the variables of the network, add branch flows to the balance, and set the limits."""
         raise NotImplementedError
 
+    def cost(self, stage: Stage) -> Any:
+        """Return the operating cost of the network, $/h: that of moving taps, phase shifters and shunts."""
+        return cost_of_moves(stage)
+
     def relaxation(self, solution: Solution, network: PerUnitNetwork) -> dict[str, float]:  # noqa: ARG002
         """Return the deviation of a solution from the relaxed equations, by name; empty if there are none."""
         return {}
@@ -101,13 +106,21 @@ def refuse_resistive(network: PerUnitNetwork, formulation: str) -> None:
         )
 
 
-def shunts(model: Model, vm_squared: Expression | float) -> None:
-    """Subtract the power drawn by shunts at a squared voltage from the balance of their buses."""
+def shunts(model: Model, vm_squared: Expression | float, relaxed: bool = False) -> None:
+    """Subtract the power drawn by shunts at a squared voltage from the balance of their buses.
+
+    Where one is switchable, their susceptance is the variable ``shunt_b``, or what they inject is one if the
+    product with the squared voltage is relaxed.
+    """
     shunt = model.network.shunt
     if not len(shunt):
         return
     at = vm_squared[shunt.bus] if isinstance(vm_squared, Expression) else vm_squared
-    p, q = -shunt.g * at, shunt.b * at
+    if relaxed and isinstance(at, Expression) and adjustable(shunt, "b").any():
+        model.inject(shunt.bus, p=model.build.expression(-shunt.g * at), q=relaxed_shunts(model, at))
+        return
+    b = switched_shunts(model) if model.reactive else None
+    p, q = -shunt.g * at, (shunt.b if b is None else b) * at
     model.inject(shunt.bus, p=model.build.expression(p), q=model.build.expression(q))
 
 
@@ -219,11 +232,18 @@ def limit_angle(model: Model, angle: Expression) -> None:
         )
 
 
-def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
+def limit_products(
+    model: Model, w_r: Expression, w_i: Expression, widened: tuple[Array | float, Array | float] = (0.0, 0.0)
+) -> None:
     r"""Limit the angle difference across branches in terms of voltage products.
 
     :math:`\theta \ge a` is :math:`w_i \cos a - w_r \sin a \ge 0`, and likewise at the upper end, as long
     as the two limits are at most 180 degrees apart.
+
+    Parameters
+    ----------
+    widened
+        What is added to the lower and the upper limits, rad; limits that it takes too far apart do not hold.
     """
     members = _angle_limited(model)
     if not members.size:
@@ -239,6 +259,12 @@ def limit_products(model: Model, w_r: Expression, w_i: Expression) -> None:
             "more than 180 degrees apart cannot be expressed in voltage products; "
             "tighten them, or remove them with (-360, 360)"
         )
+    low, high = (
+        limit + np.broadcast_to(by, branch.x.shape)[members]
+        for limit, by in zip((low, high), widened, strict=True)
+    )
+    kept = np.flatnonzero(high - low <= np.pi)
+    members, low, high = members[kept], low[kept], high[kept]
     real, imaginary = model.switched(w_r)[members], model.switched(w_i)[members]
     above = np.cos(low) * imaginary - np.sin(low) * real
     below = np.cos(high) * imaginary - np.sin(high) * real

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from opfmodel.errors import listed
 from opfmodel.formulations.base import (
     Formulation,
@@ -13,6 +15,7 @@ from opfmodel.formulations.base import (
     resistive,
     shunts,
 )
+from opfmodel.formulations.settings import shift_beyond
 from opfmodel.model import Model
 from opfmodel.network.arrays import Array, PerUnitNetwork
 from solvers import Expression
@@ -26,14 +29,15 @@ class DC(Formulation):
     .. math::
         p_f = -p_t = \frac{x}{r^2 + x^2} (\theta_f - \theta_t)
 
-    Neglects losses, reactive power, voltage magnitudes (1 p.u.), taps and phase shifts; shunts draw
-    their power at 1 p.u. Source: the DCP form of PowerModels.jl.
+    Neglects losses, reactive power, voltage magnitudes (1 p.u.), taps and constant phase shifts; adjustable
+    ones act. Shunts draw their power at 1 p.u. Source: the DCP form of PowerModels.jl.
     """
 
     name = "dc"
     reactive = False
     publishes = ("va", "pf", "pt")
     physics = "dc"
+    shifted: ClassVar[bool] = False  # whether flow() has the phase shifts
 
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""
@@ -52,7 +56,8 @@ class DC(Formulation):
         va = angles(model)
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
-        flow = model.switched(self.flow(model.network, angle))
+        behind = angle - shift_beyond(model, branch.shift if self.shifted else 0.0)
+        flow = model.switched(self.flow(model.network, behind))
         publish_flows(model, flow, None, -flow, None)
         model.inject(branch.from_bus, p=-flow)
         model.inject(branch.to_bus, p=flow)
@@ -71,6 +76,7 @@ class DCMatpower(DC):
     """
 
     name = "dc-matpower"
+    shifted = True
 
     def flow(self, network: PerUnitNetwork, angle: Expression) -> Expression:
         """Return the flow from the from end to the to end, given the angle across each branch."""

@@ -13,6 +13,7 @@ from opfmodel.formulations.base import (
     refuse_resistive,
     shunts,
 )
+from opfmodel.formulations.settings import shift_beyond
 from opfmodel.model import Model
 
 __all__ = ["DCLosses"]
@@ -29,7 +30,8 @@ class DCLosses(Formulation):
 
     The loss is the second-order term of the AC loss at flat voltages. The inequality is tight where
     energy has a positive price; elsewhere fictitious losses may absorb power. Neglects
-    reactive power, voltage magnitudes (1 p.u.), taps and phase shifts. Source: C. Coffrin, P. Van
+    reactive power, voltage magnitudes (1 p.u.), taps and constant phase shifts; adjustable ones act.
+    Source: C. Coffrin, P. Van
     Hentenryck and R. Bent, "Approximating line losses and apparent power in AC power flow
     linearizations", IEEE PES General Meeting 2012.
     """
@@ -46,8 +48,9 @@ class DCLosses(Formulation):
         va = angles(model)
         shunts(model, 1.0)
         angle = va[branch.from_bus] - va[branch.to_bus]
+        behind = angle - shift_beyond(model, 0.0)
         impedance = branch.r**2 + branch.x**2
-        flow = model.switched(branch.x / impedance * angle)
+        flow = model.switched(branch.x / impedance * behind)
         conductance = branch.r / impedance
         lossy = np.flatnonzero(conductance > 0)
         upper = np.where(conductance > 0, np.inf, 0.0)
@@ -56,7 +59,7 @@ class DCLosses(Formulation):
             # 4 g theta^2 + (1 - l)^2 <= (1 + l)^2 means l >= g theta^2
             scaled = loss[lossy] / _SCALE
             root = 2.0 * np.sqrt(conductance[lossy] / _SCALE)
-            model.build.cone("branch_loss", 1.0 + scaled, 1.0 - scaled, root * model.switched(angle)[lossy])
+            model.build.cone("branch_loss", 1.0 + scaled, 1.0 - scaled, root * model.switched(behind)[lossy])
         pf, pt = flow + 0.5 * loss, -flow + 0.5 * loss
         publish_flows(model, pf, None, pt, None)
         model.inject(branch.from_bus, p=-pf)

@@ -17,12 +17,15 @@ from opfmodel.formulations.base import (
     shunts,
     soft_rating,
 )
+from opfmodel.formulations.settings import Terminals, adjustable, behind_transformers
 from opfmodel.model import Model, Side
 from opfmodel.network.arrays import Index, PerUnitNetwork
 from opfmodel.network.physics import Array, branch_flow
 from solvers import Expression, Solution
 
 __all__ = ["SOC"]
+
+_UNTIED = 1e-9  # weight of an angle of zero for buses that only adjustable phase shifters tie to the others
 
 
 class SOC(Formulation):
@@ -36,7 +39,9 @@ class SOC(Formulation):
         w_r^2 + w_i^2 \le w_f w_t
 
     is kept, with the angle-difference limits, the bounds of the products that follow from the
-    bounds of voltages and angles, and the lifted nonlinear cuts of the two. The relaxation is exact on
+    bounds of voltages and angles, and the lifted nonlinear cuts of the two. Of an adjustable transformer, the
+    voltages behind it count; see :func:`opfmodel.formulations.settings.behind_transformers`. The relaxation
+    is exact on
     radial networks under mild conditions, and its optimum is a lower bound on that of the AC equations.
     Sources: R. Jabr, "Radial distribution load flow using conic programming", IEEE Trans. Power
     Systems 21(3), 2006; the SOCWR form of PowerModels.jl; for the cuts C. Coffrin, H. Hijazi and
@@ -59,23 +64,26 @@ class SOC(Formulation):
             unit="p.u.^2", start=start, description="squared voltage magnitude",
         )  # fmt: skip
         model.report("bus", "vm", np.sqrt(w), unit="p.u.", description="square root of w")
-        shunts(model, w)
-        n = _Neighbours.of(network, _loose(model))
+        shunts(model, w, relaxed=True)
+        at, terminals = behind_transformers(model, w)
+        n = _Neighbours.of(network, terminals, _loose(model))
         pairs = len(n.first)
-        bounds = n.product_bounds(
-            bus.vm_min[n.first] * bus.vm_min[n.second], bus.vm_max[n.first] * bus.vm_max[n.second]
-        )
+        least, most = terminals.vm_min, terminals.vm_max
+        bounds = n.product_bounds(least[n.first] * least[n.second], most[n.first] * most[n.second])
         near = [np.clip(at, low, high) for at, low, high in ((1.0, *bounds[:2]), (0.0, *bounds[2:]))]
         wr = model.build.variable("wr", pairs, model.stages, *bounds[:2], start=near[0])
         wi = model.build.variable("wi", pairs, model.stages, *bounds[2:], start=near[1])
-        at_first, at_second = w[n.first], w[n.second]
+        at_first, at_second = at[n.first], at[n.second]
         model.build.cone(
             "voltage_products", 0.5 * (at_first + at_second), 0.5 * (at_first - at_second), wr, wi
         )
-        _lifted_cuts(model, n, w, wr, wi)
+        _lifted_cuts(model, n, terminals, at, wr, wi)
         f, t = branch.from_bus, branch.to_bus
         branch_r, branch_i = wr[n.pair], n.sign * wi[n.pair]
-        flows = branch_flow(model.admittance, w[f], w[t], branch_r, branch_i)
+        admittance = network.admittance_at(terminals.tap, terminals.shift)
+        if model.status is not None:
+            admittance = admittance * model.status
+        flows = branch_flow(admittance, at[terminals.at_from], w[t], branch_r, branch_i)
         publish_flows(model, *flows)
         model.inject(f, p=-flows[0], q=-flows[1])
         model.inject(t, p=-flows[2], q=-flows[3])
@@ -94,7 +102,7 @@ class SOC(Formulation):
                 return both
 
             price_rating(model, limited, read)
-        limit_products(model, branch_r, branch_i)
+        limit_products(model, branch_r, branch_i, (-terminals.shift_max, -terminals.shift_min))
         model.report("branch", "wr", branch_r, unit="p.u.^2", description="real product of the voltages")
         model.report("branch", "wi", branch_i, unit="p.u.^2", description="imaginary product of the voltages")
 
@@ -116,12 +124,12 @@ class SOC(Formulation):
 
 @dataclass(frozen=True)
 class _Neighbours:
-    """Pairs of buses connected by branches, and the orientation of the branches.
+    """Pairs of terminals connected by branches, and the orientation of the branches.
 
     Attributes
     ----------
     first, second
-        Buses of each pair, the lower position first.
+        Terminals of each pair, the lower position first.
     pair, sign
         Pair of each branch, and 1 if it runs from first to second, -1 otherwise.
     low, high
@@ -136,7 +144,7 @@ class _Neighbours:
     high: Array
 
     @classmethod
-    def of(cls, network: PerUnitNetwork, loose: npt.NDArray[np.bool_]) -> _Neighbours:
+    def of(cls, network: PerUnitNetwork, terminals: Terminals, loose: npt.NDArray[np.bool_]) -> _Neighbours:
         """Return the neighbours of a network.
 
         Parameters
@@ -145,15 +153,16 @@ class _Neighbours:
             Which branches limit no angle, ``(branches, 1)`` or ``(branches, stages)``.
         """
         branch = network.branch
-        ends = np.column_stack([branch.from_bus, branch.to_bus])
+        ends = np.column_stack([terminals.at_from, terminals.at_to])
+        angle_min, angle_max = branch.angle_min - terminals.shift_max, branch.angle_max - terminals.shift_min
         pairs, pair = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
         pair = pair.ravel()
         along = (ends[:, 0] <= ends[:, 1])[:, None]
-        loose = loose | (branch.angle_min < -np.pi) | (branch.angle_max > np.pi)  # beyond it angles repeat
+        loose = loose | (angle_min < -np.pi) | (angle_max > np.pi)  # beyond it angles repeat
         shape = len(pairs), loose.shape[1]
         low, high = np.full(shape, -np.pi), np.full(shape, np.pi)
-        least = np.where(loose, -np.inf, branch.angle_min)
-        most = np.where(loose, np.inf, branch.angle_max)
+        least = np.where(loose, -np.inf, angle_min)
+        most = np.where(loose, np.inf, angle_max)
         np.maximum.at(low, pair, np.where(along, least, -most))
         np.minimum.at(high, pair, np.where(along, most, -least))
         return cls(pairs[:, 0], pairs[:, 1], pair, np.where(along, 1.0, -1.0), low, high)
@@ -198,13 +207,17 @@ def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
         ),
         shape=(len(branch), n),
     ).tocsc()
-    fixed = np.zeros(n)
+    free = adjustable(branch, "shift")[:, 0]
+    across, angle = across[~free], angle[~free]
+    fixed = np.full(n, _UNTIED)
     fixed[network.reference] = 1.0
     fit = spla.splu((across.T @ across + sp.diags_array(fixed)).tocsc()).solve(across.T @ angle)
     return float(np.abs(angle - across @ fit).max())
 
 
-def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi: Expression) -> None:
+def _lifted_cuts(
+    model: Model, n: _Neighbours, terminals: Terminals, w: Expression, wr: Expression, wi: Expression
+) -> None:
     r"""Add the lifted nonlinear cuts of pairs where their angle range is less than 180 degrees.
 
     With :math:`\phi` and :math:`\delta` the middle and half-width of the angle range and
@@ -216,10 +229,10 @@ def _lifted_cuts(model: Model, n: _Neighbours, w: Expression, wr: Expression, wi
     members = np.flatnonzero(narrow.any(axis=1))
     if not members.size:
         return
-    bus = model.network.bus
+    least, most = terminals.vm_min, terminals.vm_max
     i, j = n.first[members], n.second[members]
     phi, delta = 0.5 * (n.high + n.low)[members], 0.5 * (n.high - n.low)[members]
-    low_i, high_i, low_j, high_j = bus.vm_min[i], bus.vm_max[i], bus.vm_min[j], bus.vm_max[j]
+    low_i, high_i, low_j, high_j = least[i], most[i], least[j], most[j]
     sum_i, sum_j = low_i + high_i, low_j + high_j
     along = (sum_i * sum_j) * (np.cos(phi) * wr[members] + np.sin(phi) * wi[members])
     spread = np.cos(delta) * (low_i * low_j - high_i * high_j)

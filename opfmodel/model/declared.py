@@ -13,7 +13,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
-__all__ = ["Bound", "BoundSource", "Injection", "Price", "Published", "State", "resolved"]
+__all__ = ["Bound", "BoundSource", "Injection", "Price", "Published", "Setting", "State", "resolved"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -95,14 +95,17 @@ class State:
     """A quantity that links successive problems of a receding horizon.
 
     A ``stock`` evolves from stage to stage by an equation and has one more point than there are stages.
-    A ``dispatch`` is decided in every stage and changes by at most ``ramp`` per hour.
+    A ``dispatch`` is decided in every stage and changes by at most ``ramp`` per hour. A ``setting`` of the
+    network is decided in every stage, and what it moves may be counted.
 
     Attributes
     ----------
     initial
         Field with the default initial value.
     ramped
-        Items with a ramp limit.
+        Items with a ramp limit, or whose moves are counted.
+    first
+        Blocks of rows that limit the change from the value before the first stage.
     ends
         Whether terminal conditions apply to a stock.
     """
@@ -110,10 +113,47 @@ class State:
     name: str
     kind: str
     unit: str
-    role: Literal["stock", "dispatch"]
+    role: Literal["stock", "dispatch", "setting"]
     initial: str | None = None
     ramped: Index | None = None
+    first: tuple[str, ...] = ()
     ends: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """An adjustable quantity of the network, which contingencies leave as it was.
+
+    Attributes
+    ----------
+    neutral, low, high
+        Value nearest to the default, and range, ``(items, 1)`` per unit.
+    positions
+        Number of equidistant positions of each item, ``(items, 1)``, infinite if it takes any value.
+    """
+
+    kind: str
+    name: str
+    neutral: Array
+    low: Array
+    high: Array
+    positions: Array
+
+    @property
+    def stepped(self) -> npt.NDArray[np.bool_]:
+        """Which items have positions, ``(items, 1)``."""
+        return np.isfinite(self.positions) & (self.low < self.high)
+
+    @property
+    def size(self) -> Array:
+        """Distance between two positions, ``(items, 1)``; 1 without positions."""
+        gaps = np.where(self.stepped, self.positions - 1.0, 1.0)
+        return np.asarray(np.where(self.stepped, (self.high - self.low) / gaps, 1.0))
+
+    def rounded(self, values: Array) -> Array:
+        """Return the positions nearest to some values; NaN for items without positions."""
+        nearest = self.low + self.size * np.rint((values - self.low) / self.size)
+        return np.where(self.stepped, nearest, np.nan)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,19 @@ import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
 from opfmodel.horizon import Horizon
-from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Published, State, resolved
+from opfmodel.model.declared import (
+    Bound,
+    BoundSource,
+    Injection,
+    Price,
+    Published,
+    Setting,
+    State,
+    resolved,
+)
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
-from opfmodel.model.stage import Quantities, RegularStage, per_node, sum_of_costs
+from opfmodel.model.stage import Costed, Quantities, RegularStage, per_node, sum_of_costs
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.components import BUILT_IN
 from opfmodel.network.physics import Admittance
@@ -87,6 +96,10 @@ class Model:
         Fields that have time series, by ``(kind, field)``.
     slacks
         Slack variables of soft limits, by name; empty unless elastic.
+    settings
+        Adjustable quantities of the network, by name; see :meth:`setting`.
+    costed
+        The formulation and the devices, which have operating costs.
     shares
         Names of the variables of an elastic problem that are shares of demand; see :meth:`share`.
     penalties
@@ -134,10 +147,12 @@ class Model:
         self.reported: dict[str, Published] = {}
         self.prices: dict[str, Price] = {}
         self.states: dict[str, State] = {}
+        self.settings: dict[str, Setting] = {}
         self.bounds: dict[str, BoundSource] = {}
         self.parameters: dict[str, tuple[str, Bound]] = {}
         self.injections: list[Injection] = []
         self.devices: list[Device] = []
+        self.costed: list[Costed] = []
         self._declaring: str | None = None
         self.series = set(series)
         self.outages = frozenset(outages)
@@ -160,6 +175,7 @@ class Model:
         """
         kind = device.component.kind
         self.devices.append(device)
+        self.costed.append(device)
         self._declaring = None if device.component in BUILT_IN else kind
         device.declare(self, self.network.tables[kind])
         self._declaring = None
@@ -260,7 +276,8 @@ class Model:
         later, eldest = self.horizon.siblings
         if self.delay == 1 and later.size:
             self.rows(kind, f"{name}_shared", values[:, later] - values[:, eldest], 0.0, 0.0)
-        self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped)
+        first = () if ramped is None or not ramped.size else (f"{name}_ramp_first",)
+        self.states[name] = State(name, kind, unit, "dispatch", ramped=ramped, first=first)
         return values
 
     def _ramp(self, kind: str, name: str, values: Expression, unit: str, ramp: str, ramped: Index) -> None:
@@ -312,6 +329,56 @@ class Model:
             return price
 
         return read
+
+    def setting(
+        self, kind: str, name: str, field: str, positions: Array, *, unit: str, description: str
+    ) -> Expression:
+        """Declare an adjustable quantity of the network, which contingencies leave as it was.
+
+        Components with a ``move_cost`` have the positions by which it moves in each stage counted as
+        ``name_moves``; the first stage moves from the position applied last.
+
+        Parameters
+        ----------
+        field
+            Adjustable field with its range.
+        positions
+            Number of positions of each item, ``(items, 1)``, infinite if it takes any value.
+        """
+        horizon, table = self.horizon, self.network.tables[kind]
+        low, high = table.arrays[f"{field}_min"], table.arrays[f"{field}_max"]
+        values = self.variable(
+            kind, name, f"{field}_min", f"{field}_max",
+            unit=unit, start=table.arrays[field], nodes=np.arange(len(horizon.regular)), publish=False,
+        )  # fmt: skip
+        chosen = values[:, horizon.owner] if horizon.contingencies.size else values
+        self.publish(kind, name, chosen, unit=unit, description=description)
+        setting = self.settings[name] = Setting(kind, name, table.arrays[field], low, high, positions)
+        counted = np.flatnonzero(setting.stepped & np.isfinite(table.move_cost))
+        rows = self._count_moves(setting, values, counted) if counted.size else ()
+        self.states[name] = State(name, kind, unit, "setting", ramped=counted, first=rows)
+        return chosen
+
+    def _count_moves(self, setting: Setting, values: Expression, counted: Index) -> tuple[str, ...]:
+        """Count the positions by which items of a setting move; return the rows of the first stage."""
+        kind, name, horizon = setting.kind, setting.name, self.horizon.regular
+        most = np.zeros((values.items, 1))
+        most[counted] = np.inf
+        moves = self.variable(
+            kind, f"{name}_moves", 0.0, most,
+            unit="", start=0.0, nodes=np.arange(len(horizon)), description=f"positions by which {name} moves",
+        )[counted]  # fmt: skip
+        at, size = values[counted], setting.size[counted]
+        before = self.build.parameter(f"{name}_previous", counted.size)
+        change = {"first": (at[:, self.starts] - before, self.starts)}
+        if horizon.inner.size:
+            earlier = horizon.parent[horizon.inner]
+            change["later"] = at[:, horizon.inner] - at[:, earlier], horizon.inner
+        for when, (moved, nodes) in change.items():
+            for way, sign in (("up", 1.0), ("down", -1.0)):
+                distance = (sign / size) * moved - moves[:, nodes]
+                self.rows(kind, f"{name}_{way}_{when}", distance, -np.inf, 0.0, nodes=nodes)
+        return f"{name}_up_first", f"{name}_down_first"
 
     def stock(
         self,
@@ -693,8 +760,8 @@ class Model:
 
     @property
     def operating_cost(self) -> Any:
-        """Operating cost of all devices, $/h."""
-        return sum_of_costs(self.devices, self)
+        """Operating cost of all equipment, $/h."""
+        return sum_of_costs(self.costed, self)
 
     @cached_property
     def status(self) -> Any:

@@ -13,10 +13,9 @@ from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork
 
 if TYPE_CHECKING:
-    from opfmodel.model.device import Device
     from opfmodel.model.model import Model
 
-__all__ = ["NumericStage", "Quantities", "RegularStage", "Stage", "per_node", "sum_of_costs"]
+__all__ = ["Costed", "NumericStage", "Quantities", "RegularStage", "Stage", "per_node", "sum_of_costs"]
 
 Array = npt.NDArray[np.float64]
 
@@ -77,7 +76,15 @@ class Stage(Protocol):
 
     @property
     def operating_cost(self) -> Any:
-        """Operating cost of all devices, $/h, one value per stage."""
+        """Operating cost of all equipment, $/h, one value per stage."""
+        ...
+
+
+class Costed(Protocol):
+    """What has an operating cost: devices, and the formulation for the network."""
+
+    def cost(self, stage: Any) -> Any:
+        """Return the operating cost in $/h, one value per stage, or None."""
         ...
 
 
@@ -92,8 +99,8 @@ class NumericStage:
         Length of each stage in hours.
     values
         Arrays of shape ``(items, stages)`` in per unit, by ``(kind, name)``.
-    devices
-        Devices that contribute to the operating cost.
+    costed
+        What contributes to the operating cost: the formulation and the devices.
     horizon
         The nodes in time; by default the stages follow one another.
     """
@@ -103,13 +110,13 @@ class NumericStage:
         network: PerUnitNetwork,
         step: float | Array,
         values: Mapping[tuple[str, str], Array],
-        devices: Iterable[Device],
+        costed: Iterable[Costed],
         horizon: Horizon | None = None,
     ) -> None:
         self.network = network
         self.step = step
         self.values = dict(values)
-        self._devices = list(devices)
+        self._costed = list(costed)
         self._leaves = np.array([-1]) if horizon is None else horizon.leaves
 
     def __getattr__(self, kind: str) -> Quantities:
@@ -134,8 +141,8 @@ class NumericStage:
 
     @property
     def operating_cost(self) -> Any:
-        """Operating cost of all devices, $/h, one value per stage."""
-        return sum_of_costs(self._devices, self)
+        """Operating cost of all equipment, $/h, one value per stage."""
+        return sum_of_costs(self._costed, self)
 
 
 class RegularStage:
@@ -171,8 +178,8 @@ class RegularStage:
 
     @property
     def operating_cost(self) -> Any:
-        """Operating cost of all devices, $/h."""
-        return sum_of_costs(self._model.devices, self)
+        """Operating cost of all equipment, $/h."""
+        return sum_of_costs(self._model.costed, self)
 
 
 def per_node(values: Array) -> Any:
@@ -180,9 +187,9 @@ def per_node(values: Array) -> Any:
     return float(values[0]) if (values == values[0]).all() else values[None, :]
 
 
-def sum_of_costs(devices: Iterable[Device], stage: Any) -> Any:
-    """Return the total operating cost of devices, $/h, or None if no device has a cost."""
-    costs = [cost for cost in (device.cost(stage) for device in devices) if cost is not None]
+def sum_of_costs(costed: Iterable[Costed], stage: Any) -> Any:
+    """Return the total operating cost, $/h, or None if nothing has a cost."""
+    costs = [cost for cost in (each.cost(stage) for each in costed) if cost is not None]
     result = costs[0] if costs else None
     for cost in costs[1:]:
         result = result + cost

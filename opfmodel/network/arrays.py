@@ -22,6 +22,7 @@ from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
+from opfmodel.network.fields import is_adjustable
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
 from opfmodel.network.quantities import CURRENCY
@@ -166,17 +167,14 @@ class PerUnitNetwork:
     @cached_property
     def admittance(self) -> Admittance:
         """Two-port admittances of all branches."""
+        return self.admittance_at(self.branch.tap, self.branch.shift)
+
+    def admittance_at(self, tap: Array, shift: Array) -> Admittance:
+        """Two-port admittances of all branches at other ratios and phase shifts of their transformers."""
         t = self.branch
-        return branch_admittance(
-            t.r,
-            t.x,
-            t.g / 2 + t.g_from,
-            t.b / 2 + t.b_from,
-            t.g / 2 + t.g_to,
-            t.b / 2 + t.b_to,
-            t.tap,
-            t.shift,
-        )
+        half_g, half_b = t.g / 2, t.b / 2
+        ends = half_g + t.g_from, half_b + t.b_from, half_g + t.g_to, half_b + t.b_to
+        return branch_admittance(t.r, t.x, *ends, tap, shift)
 
     @cached_property
     def resting_angle(self) -> Array:
@@ -402,6 +400,10 @@ def _table(
             pairs = [v if isinstance(v, tuple | list) else (-v, v) for v in values]
             ends = np.array(pairs, dtype=float).reshape(-1, 2) / factor
             arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1].copy(), ends[:, 1:].copy()
+        elif form == "adjustable":
+            ends = np.array([v if is_adjustable(v) else (v, v) for v in values], dtype=float).reshape(-1, 2)
+            arrays[key] = _column([m.neutral(key) for m in resolved]) / factor
+            arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1] / factor, ends[:, 1:] / factor
         elif form == "flag":
             arrays[key] = np.array(values, dtype=bool)
         elif form == "bus":

@@ -18,10 +18,13 @@ from opfmodel.network.describe import documented
 from opfmodel.network.fields import (
     INF,
     TableField,
+    is_adjustable,
     is_flag,
+    rules_of_adjustable,
     rules_of_number,
     rules_of_span,
     rules_of_weights,
+    type_of_adjustable,
     type_of_bus,
     type_of_flag,
     type_of_number,
@@ -56,12 +59,14 @@ _TYPES: Mapping[str, _Check] = {
     "bus": type_of_bus,
     "cost": _type_of_cost,
     "weights": type_of_weights,
+    "adjustable": type_of_adjustable,
 }
 _RULES: Mapping[str, _Check] = {
     "number": rules_of_number,
     "span": rules_of_span,
     "cost": _rules_of_cost,
     "weights": rules_of_weights,
+    "adjustable": rules_of_adjustable,
 }
 
 
@@ -249,7 +254,13 @@ class Component:
         >>> Generator.quantities("p"), Generator.quantities("cost"), Generator.quantities("bus")
         (('p_min', 'p_max'), ('c2', 'c1', 'c0'), ())
         """
-        named = {"number": (key,), "span": (f"{key}_min", f"{key}_max"), "cost": tuple(COEFFICIENT_UNITS)}
+        ends = f"{key}_min", f"{key}_max"
+        named = {
+            "number": (key,),
+            "span": ends,
+            "cost": tuple(COEFFICIENT_UNITS),
+            "adjustable": (key, *ends),
+        }
         return named.get(cls.fields()[key].metadata["form"], ())
 
     def constant(self, field: str) -> float:
@@ -309,6 +320,18 @@ class Component:
         default: Any = known[stem].default if end in ("min", "max") and stem in known else None
         value = float(default[end == "max"]) if isinstance(default, tuple) else 0.0
         return value if math.isinf(value) else None
+
+    def neutral(self, key: str) -> float:
+        """Return the constant in an adjustable field or, of a range, the value nearest to the default.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Branch
+        >>> Branch("a", "b", r=0, x=0.1, tap=(1.02, 1.1)).neutral("tap")
+        1.02
+        """
+        value, default = getattr(self, key), float(self.fields()[key].default)  # type: ignore[arg-type]
+        return float(np.clip(default, *value) if is_adjustable(value) else value)
 
     @property
     def buses(self) -> tuple[str, ...]:
@@ -395,6 +418,6 @@ def plain_value(item: Field[Any], value: Any) -> Any:
         return {str(name): number for name, number in value.items()}
     if form == "bus" and isinstance(value, int) and not isinstance(value, bool):
         return str(value)
-    if form == "span" and isinstance(value, Sequence) and not isinstance(value, str):
+    if form in ("span", "adjustable") and isinstance(value, Sequence) and not isinstance(value, str):
         return tuple(value)
     return value

@@ -31,7 +31,13 @@ def type_of(item: Field[Any]) -> str:
     if item.metadata["form"] == "span" and item.metadata["symmetric"]:
         return "range or number"
     form: str = item.metadata["form"]
-    return {"span": "range", "flag": "boolean", "bus": "name", "weights": "numbers by name"}.get(form, form)
+    return {
+        "span": "range",
+        "flag": "boolean",
+        "bus": "name",
+        "adjustable": "number or range",
+        "weights": "numbers by name",
+    }.get(form, form)
 
 
 def unit_of(item: Field[Any]) -> str:

@@ -15,16 +15,21 @@ from opfmodel.network.bounds import LARGEST, bounded, is_number
 __all__ = [
     "INF",
     "TableField",
+    "adjustable",
     "at_bus",
+    "check_positions",
     "cost_of",
     "flag",
     "in_service",
+    "is_adjustable",
     "is_flag",
     "number",
+    "rules_of_adjustable",
     "rules_of_number",
     "rules_of_span",
     "rules_of_weights",
     "span",
+    "type_of_adjustable",
     "type_of_bus",
     "type_of_flag",
     "type_of_number",
@@ -113,6 +118,34 @@ def span(
         "symmetric": symmetric,
         "series": series,
         "averaged": averaged,
+        "description": description,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def adjustable(
+    unit: str, default: float, *, at_least: float = -INF, at_most: float = INF, description: str = ""
+) -> Any:
+    """Declare a field that holds a constant or, as ``(min, max)``, the range in which it is decided.
+
+    The arrays ``<field>_min`` and ``<field>_max`` hold the range, and ``<field>`` the constant or, of a
+    range, the value that is nearest to the default.
+
+    Parameters
+    ----------
+    unit, at_least, at_most, description
+        As for :func:`number`.
+    """
+    metadata = {
+        "form": "adjustable",
+        "unit": unit,
+        "at_least": at_least,
+        "at_most": at_most,
+        "optional": False,
+        "finite": True,
+        "symmetric": False,
+        "series": False,
+        "above": -INF,
         "description": description,
     }
     return field(default=default, metadata=metadata)
@@ -239,6 +272,48 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
         )
     if low < rules["at_least"]:
         raise ComponentError(name, key, value, f"the minimum must be at least {rules['at_least']:g}")
+
+
+def is_adjustable(value: object) -> TypeGuard[tuple[float, float]]:
+    """Whether the value of an adjustable field is a range."""
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def check_positions(
+    name: str, key: str, value: object, stated: str, steps: float | None, move_cost: float | None
+) -> None:
+    """Raise :class:`ComponentError` unless the positions of an adjustable field, and its moves, are defined.
+
+    Parameters
+    ----------
+    stated
+        Name of the field that holds the number of positions or steps.
+    """
+    if steps is not None and steps != int(steps):
+        raise ComponentError(name, stated, steps, "must be a whole number")
+    if steps is not None and not is_adjustable(value):
+        raise ComponentError(
+            name, stated, steps, f"{key} = {value!r} is constant; must be a range (min, max)"
+        )
+    if is_adjustable(value) and move_cost is not None and steps is None:
+        raise ComponentError(name, "move_cost", move_cost, f"needs {stated}, the positions that are counted")
+
+
+def type_of_adjustable(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is a number or a pair of numbers."""
+    if not is_number(value):
+        if not is_adjustable(value):
+            raise ComponentError(name, key, value, f"must be a number or a pair (min, max){_unit(rules)}")
+        type_of_span(name, key, value, rules)
+
+
+def rules_of_adjustable(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` for a number or a range that violates the rules of its field."""
+    ends = value if is_adjustable(value) else (value,)
+    for end in ends:
+        rules_of_number(name, key, end, rules)
+    if is_adjustable(value):
+        rules_of_span(name, key, value, rules)
 
 
 def type_of_weights(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:

@@ -17,6 +17,7 @@ __all__ = [
     "branch_flow",
     "polar_products",
     "rectangular_products",
+    "through_transformer",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -106,6 +107,29 @@ def rectangular_products(e_f: Any, f_f: Any, e_t: Any, f_t: Any) -> tuple[Any, A
         As :func:`polar_products`.
     """
     return e_f**2 + f_f**2, e_t**2 + f_t**2, e_f * e_t + f_f * f_t, f_f * e_t - e_f * f_t
+
+
+def through_transformer(
+    w_f: Any, w_t: Any, w_r: Any, w_i: Any, tap: Any, shift: Any
+) -> tuple[Any, Any, Any, Any]:
+    r"""Voltage products behind the ideal transformer at the from end of a branch.
+
+    With the voltage :math:`V_f / (\tau e^{j\phi})` in place of :math:`V_f`:
+
+    .. math::
+        w_f' = w_f / \tau^2, \quad w_t' = w_t, \quad w_r' + j w_i' = (w_r + j w_i) e^{-j\phi} / \tau
+
+    Parameters
+    ----------
+    tap, shift
+        Ratio :math:`\tau`, and phase shift :math:`\phi` in radians; None leaves the products as they are.
+    """
+    if shift is not None:
+        cosine, sine = np.cos(shift), np.sin(shift)
+        w_r, w_i = w_r * cosine + w_i * sine, w_i * cosine - w_r * sine
+    if tap is not None:
+        w_f, w_r, w_i = w_f / tap**2, w_r / tap, w_i / tap
+    return w_f, w_t, w_r, w_i
 
 
 def branch_flow(y: Admittance, w_f: Any, w_t: Any, w_r: Any, w_i: Any) -> tuple[Any, Any, Any, Any]:

@@ -126,7 +126,8 @@ def _of_branch(branch: Branch, kv: float, base_mva: float, most: float) -> _Foun
         yield "rating", branch.rating, "a branch that may carry nothing"
     elif branch.rating > most:
         yield "rating", branch.rating, "a rating that limits nothing"
-    if not _TAPS[0] <= branch.tap <= _TAPS[1]:
+    taps = branch.tap if isinstance(branch.tap, tuple) else (branch.tap, branch.tap)
+    if not _TAPS[0] <= taps[0] <= taps[1] <= _TAPS[1]:
         yield "tap", branch.tap, f"outside the usual range from {_TAPS[0]:g} to {_TAPS[1]:g}"
     low, high = branch.angle
     if high - low < _NARROW:

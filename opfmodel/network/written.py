@@ -38,9 +38,9 @@ def without_units(
 
     def plain(key: str, value: Any, item: Field[Any]) -> Any:
         form, unit = item.metadata["form"], item.metadata["unit"]
-        if form == "span" and isinstance(value, list):
+        if form in ("span", "adjustable") and isinstance(value, list):
             return [number(key, end, unit) for end in value]
-        if form in ("number", "span"):
+        if form in ("number", "span", "adjustable"):
             return number(key, value, unit)
         if form == "cost" and isinstance(value, Mapping):
             return {part: cost(key, part, inner) for part, inner in value.items()}

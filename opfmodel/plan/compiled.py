@@ -110,6 +110,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         outages=problem.outages,
     )
     problem.formulation.declare(model)
+    model.costed.append(problem.formulation)
     _check_switched(problem, model)
     for device in problem.devices:
         model.connect(device)

@@ -35,6 +35,7 @@ from opfmodel.plan.memory import check_memory, problem_bytes
 from opfmodel.plan.nodes import over_nodes
 from opfmodel.plan.outages import check_declared, check_stated
 from opfmodel.plan.parts import make_devices, make_formulation
+from opfmodel.plan.positions import at_positions
 from opfmodel.plan.request import Initial, Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.risk import Risk
@@ -677,9 +678,10 @@ class MultiStage:
         self, request: Request, previous: Plan | None = None, multipliers: bool = True
     ) -> Plan:
         """Solve for a request; see :meth:`solve`."""
-        if self.security is not None and self.security.screen:
-            return self.screening.solve(request, previous, multipliers)
-        return self.solve_included(request, previous, multipliers)
+        secured = self.security is not None and self.security.screen
+        solve = self.screening.solve if secured else self.solve_included
+        plan = solve(request, previous, multipliers)
+        return at_positions(plan, lambda held: solve(held, plan, True))
 
     def solve_included(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
         """Solve the problem as it is, without screening; an elastic one for minimum penalty first."""

@@ -73,7 +73,8 @@ class Numbers:
                     f"initial {name}: must be one number per {state.kind}, "
                     f"{self.program.variables[name].items} in total, not {values!r}"
                 )
-        if (state.role == "stock" or delay == 1) and values is not None:
+        late = delay == 1 and state.role == "dispatch"
+        if (state.role == "stock" or late) and values is not None:
             lower, upper = self._bounds(name)
             start = [self.begin] if state.role == "stock" or self.begin else horizon.roots
             lower[:, start] = upper[:, start] = values[:, None]
@@ -83,15 +84,15 @@ class Numbers:
             raise ModelError(
                 f"initial {name}: must be given for a plan that ends with the data (at_end = 'shrink')"
             )
-        if f"{name}_ramp_first" in self.program.rows:
-            given = values is not None and delay == 0
-            begun = np.isin(self.model.starts, [self.begin] if self.begin else horizon.roots)
-            free = ~begun if given else np.ones_like(begun)
+        given = values is not None and not late
+        begun = np.isin(self.model.starts, [self.begin] if self.begin else horizon.roots)
+        free = ~begun if given else np.ones_like(begun)
+        for rows in state.first:
             if free.any():
-                lower, upper = self._bounds(f"{name}_ramp_first")
+                lower, upper = self._bounds(rows)
                 lower[:, free], upper[:, free] = -np.inf, np.inf
-            if values is not None and delay == 0:
-                self.parameters[f"{name}_previous"] = values[state.ramped]
+        if state.first and values is not None and not late:
+            self.parameters[f"{name}_previous"] = values[state.ramped]
 
     def end_with(self, name: str, end: End, out: npt.NDArray[np.bool_]) -> None:
         """Apply the terminal conditions to stored energy, except where the storage is out of service."""

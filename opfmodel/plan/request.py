@@ -19,7 +19,13 @@ Limits = Mapping[str, tuple["npt.ArrayLike", "npt.ArrayLike"]]
 
 @dataclass(frozen=True)
 class Request:
-    """The stages, initial state and data of one solve; see :meth:`opfmodel.MultiStage.solve`."""
+    """The stages, initial state and data of one solve; see :meth:`opfmodel.MultiStage.solve`.
+
+    Attributes
+    ----------
+    settings
+        Values at which settings of the network are held, per unit by block; NaN where one is decided.
+    """
 
     time: int
     initial: Initial | None
@@ -27,3 +33,4 @@ class Request:
     expected: Mapping[tuple[str, str], npt.NDArray[np.float64]] | None
     horizon: Horizon
     out: tuple[str, ...] = ()
+    settings: Mapping[str, npt.NDArray[np.float64]] | None = None

@@ -222,6 +222,8 @@ class Responses:
         built_in = all(device.component in BUILT_IN for device in self.problem.devices)
         if physics is None or not built_in or not out or not central.optimal or central.short:
             return set()
+        if physics == "ac" and self.problem.model.settings:  # the admittances are those of the plan
+            return set()
         test = _ac_outages(central, self.security) if physics == "ac" else _dc_outages(central)
         survived = test.survived(np.array([known[name] for name in out], dtype=np.intp))
         return {name for name, passes in zip(out, survived, strict=True) if passes}
@@ -231,8 +233,11 @@ class Responses:
         model, program = self.problem.model, self.problem.compile()
         for name, block in program.variables.items():
             declared = model.published.get(name) or model.states.get(name) or model.bounds.get(name)
-            values = None if declared is None or declared.kind == "branch" else state(name)
-            nodes = model.horizon.columns(block.stages)
+            flows = declared is None or (declared.kind == "branch" and name not in model.settings)
+            values = None if flows else state(name)
+            source = model.bounds.get(name)
+            nodes = model.horizon.columns(block.stages) if source is None else source.nodes
+            nodes = np.arange(len(model.horizon)) if source is not None and nodes is None else nodes
             if values is None or nodes is None:
                 continue
             fixed = np.full(block.shape, np.nan)

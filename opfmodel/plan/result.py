@@ -49,6 +49,8 @@ class Plan:
         The certified solution of the program.
     request
         What was asked for.
+    rounded_from
+        The plan before its settings were rounded to positions; None if none have positions.
     rounds
         Rounds of screening that led to a secure plan; empty without screening.
     """
@@ -67,6 +69,7 @@ class Plan:
         self.model = model
         self.whole = network
         self.rounds: tuple[Round, ...] = ()
+        self.rounded_from: Plan | None = None
         regular = slice(len(request.horizon.regular))
         self.network = network.over(regular) if request.horizon.out else network
 
@@ -77,8 +80,16 @@ class Plan:
     def with_solution(self, problem: MultiStage, solution: Solution) -> Plan:
         """Return the same plan with another record of its solution, as the plan of another problem."""
         made = Plan(problem, self.model, solution, self.whole, self.request)
-        made.rounds = self.rounds
+        made.rounds, made.rounded_from = self.rounds, self.rounded_from
         return made
+
+    @property
+    def rounding_loss(self) -> float:
+        """Increase of the objective, $, by taps, phase shifts and shunts at positions; 0 if none have any.
+
+        NaN if no plan exists at the nearest positions.
+        """
+        return 0.0 if self.rounded_from is None else self.objective - self.rounded_from.objective
 
     @property
     def time(self) -> int:
@@ -164,7 +175,7 @@ class Plan:
     def stage(self) -> NumericStage:
         """The published quantities of the plan as numbers in per unit, for evaluating costs."""
         published = {key: value for key, value in self.quantities().items() if self.model.has(key[1])}
-        return NumericStage(self.network, self.model.stage.step, published, self.model.devices, self.horizon)
+        return NumericStage(self.network, self.model.stage.step, published, self.model.costed, self.horizon)
 
     def quantities(self) -> dict[tuple[str, str], Array]:
         """Return all published quantities in per unit, ``(items, stages)`` by ``(kind, name)``.
@@ -245,13 +256,14 @@ class Plan:
         if not self.optimal:
             raise ModelError(f"the plan from step {self.time} is {self.status}: it has no next state")
         out = {}
-        committed = self.model.delay == 1
+        delayed = self.model.delay == 1
         after = np.flatnonzero(self.horizon.parent == 0)  # siblings share what is committed
         for state in self.model.states.values():
             name = f"{state.name}_next" if state.role == "stock" else state.name
-            if happened is not None and (state.role == "stock" or not committed):
+            committed = delayed and state.role == "dispatch"
+            if happened is not None and not committed:
                 values = happened[state.kind, name]
-            elif state.role == "stock" or not committed or self.stages == 1 < self.problem.stages:
+            elif not committed or self.stages == 1 < self.problem.stages:
                 values = self.solution.value(name)[:, 0]
             elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")

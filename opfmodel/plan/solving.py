@@ -81,7 +81,8 @@ def posed(
                 at_nodes([low[None, :]], nodes, "max"),
                 at_nodes([high[None, :]], nodes, "min"),
             )
-    for name, (lower, upper) in {**dict(free_rows(model, program, never)), **(limits or {})}.items():
+    held = {name: (values, values) for name, values in (request.settings or {}).items()}
+    for name, (lower, upper) in {**dict(free_rows(model, program, never)), **held, **(limits or {})}.items():
         numbers.limit(name, lower, upper)
     return numbers.instance(), network
 

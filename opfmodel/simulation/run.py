@@ -85,7 +85,7 @@ class Run:
             for key, zero in absent.items()
         }
         network = self.outages.without_costs(network, range(len(self.steps)), self.problem.step)
-        return NumericStage(network, self.problem.step, values, self.problem.model.devices)
+        return NumericStage(network, self.problem.step, values, self.problem.model.costed)
 
     @property
     def previous_pg(self) -> dict[str, float] | None:

@@ -11,6 +11,7 @@ from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
+from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
@@ -93,14 +94,9 @@ def find_losses(network: Network, losses: Losses) -> None:
     idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
     if idle:
         losses.add(f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
-    for name, branch in network.of(Branch).items():
-        for loss in _losses_of(branch):
+    for name in network:
+        for loss in _losses_of(network[name]):
             losses.add(f"{name}: {loss}")
-    for name, storage in network.of(Storage).items():
-        if storage.standing_loss or storage.energy_min:
-            losses.add(f"{name}: standing_loss and energy_min are left out")
-        if storage.exclusive:
-            losses.add(f"{name}: exclusive is left out")
     regulated = _regulated(network)
     for name, generator in network.of(Generator).items():
         if generator.in_service and generator.regulates != regulated[generator.bus]:
@@ -112,10 +108,20 @@ def find_losses(network: Network, losses: Losses) -> None:
             losses.add(f"{name}: participation is left out")
 
 
-def _losses_of(branch: Branch) -> Iterator[str]:
-    if branch.g or branch.g_from or branch.g_to or branch.b_from != branch.b_to:
+def _losses_of(component: Component) -> Iterator[str]:
+    for key in ("tap", "shift", "b"):
+        if isinstance(getattr(component, key, None), tuple):
+            yield f"{key} is adjustable; a case holds one value, that nearest to its default"
+    if isinstance(component, Storage):
+        if component.standing_loss or component.energy_min:
+            yield "standing_loss and energy_min are left out"
+        if component.exclusive:
+            yield "exclusive is left out"
+    if not isinstance(component, Branch):
+        return
+    if component.g or component.g_from or component.g_to or component.b_from != component.b_to:
         yield "MATPOWER has no branch shunt conductance or uneven charging; they are left out"
-    if branch.emergency_rating == 0:
+    if component.emergency_rating == 0:
         yield "emergency_rating = 0: MATPOWER's 0 means that none is stated"
 
 
@@ -138,7 +144,7 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
     for shunt in network.of(Shunt).values():
         if shunt.in_service:
             demand[shunt.bus][2] += shunt.g
-            demand[shunt.bus][3] += shunt.b
+            demand[shunt.bus][3] += shunt.neutral("b")
     regulated = _regulated(network)
     rows = []
     for name, bus in network.of(Bus).items():
@@ -176,8 +182,9 @@ def _branch_row(branch: Branch, ids: Mapping[str, int], stated: bool) -> list[fl
     emergency = (branch.emergency_rating or 0.0) if stated else rating
     charging = branch.b + 2 * min(branch.b_from, branch.b_to, key=abs)
     row = [ids[branch.from_bus], ids[branch.to_bus], branch.r, branch.x, charging, rating, *[emergency] * 2]
-    ratio = 0.0 if branch.tap == 1 and branch.shift == 0 else branch.tap
-    return [*row, ratio, branch.shift, float(branch.in_service), *branch.angle]
+    tap, shift = branch.neutral("tap"), branch.neutral("shift")
+    ratio = 0.0 if tap == 1 and shift == 0 else tap
+    return [*row, ratio, shift, float(branch.in_service), *branch.angle]
 
 
 def _cost_rows(generators: Iterable[Generator]) -> list[list[float]]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
-from opfmodel.network.fields import at_bus, in_service, number, span
+from opfmodel.network.fields import adjustable, at_bus, check_positions, in_service, number, span
 
 __all__ = ["Branch"]
 
@@ -49,8 +49,12 @@ class Branch(Component):
         over="min",
         description="Maximum for a short time after an outage; by default a multiple of the rating.",
     )
-    tap: float = number("", 1.0, at_least=1e-3, at_most=1e3, series=False, description="Transformer ratio.")
-    shift: float = number("deg", 0.0, series=False, description="Phase shift of the transformer.")
+    tap: float | tuple[float, float] = adjustable(
+        "", 1.0, at_least=1e-3, at_most=1e3, description="Transformer ratio; a range if it is adjustable."
+    )
+    shift: float | tuple[float, float] = adjustable(
+        "deg", 0.0, description="Phase shift of the transformer; a range if it is adjustable."
+    )
     angle: tuple[float, float] = span(
         "deg",
         (-360.0, 360.0),
@@ -69,6 +73,31 @@ class Branch(Component):
     b_to: float = number(
         "p.u. admittance", 0.0, series=False, description="Additional shunt susceptance at the to end."
     )
+    tap_steps: float | None = number(
+        "",
+        None,
+        at_least=2,
+        optional=True,
+        series=False,
+        description="Number of positions of an adjustable ratio, both ends included; none for any ratio.",
+    )
+    shift_steps: float | None = number(
+        "",
+        None,
+        at_least=2,
+        optional=True,
+        series=False,
+        description="Number of positions of an adjustable phase shift, both ends included; none for any.",
+    )
+    move_cost: float | None = number(
+        "$",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Cost of each position by which tap or shift moves; none: moves are neither counted nor "
+        "priced.",
+    )
     in_service: bool = in_service()
 
     def check(self, name: str) -> None:
@@ -83,3 +112,6 @@ class Branch(Component):
             )
         if self.from_bus == self.to_bus:
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
+        for key in ("tap", "shift"):
+            steps = f"{key}_steps"
+            check_positions(name, key, getattr(self, key), steps, getattr(self, steps), self.move_cost)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from opfmodel.network.component import Component, component
-from opfmodel.network.fields import at_bus, in_service, number
+from opfmodel.network.fields import adjustable, at_bus, check_positions, in_service, number
 
 __all__ = ["Shunt"]
 
@@ -19,5 +19,30 @@ class Shunt(Component):
 
     bus: str = at_bus()
     g: float = number("MW", 0.0, series=False, description="Active power drawn at 1 p.u. voltage.")
-    b: float = number("MVAr", 0.0, series=False, description="Reactive power injected at 1 p.u. voltage.")
+    b: float | tuple[float, float] = adjustable(
+        "MVAr",
+        0.0,
+        description="Reactive power injected at 1 p.u. voltage; a range if it is switchable.",
+    )
+    steps: float | None = number(
+        "",
+        None,
+        at_least=1,
+        optional=True,
+        series=False,
+        description="Number of equal steps in which a switchable shunt is switched; none for any value.",
+    )
+    move_cost: float | None = number(
+        "$",
+        None,
+        at_least=0.0,
+        optional=True,
+        series=False,
+        description="Cost of each step that is switched; none: steps are neither counted nor priced.",
+    )
     in_service: bool = in_service()
+
+    def check(self, name: str) -> None:
+        """Raise :class:`ComponentError` if a field breaks a rule or the steps do not fit the range."""
+        super().check(name)
+        check_positions(name, "b", self.b, "steps", self.steps, self.move_cost)

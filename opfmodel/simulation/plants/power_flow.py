@@ -101,7 +101,7 @@ class PowerFlow(ACPlant):
         least, most = np.full_like(wanted, _LEAST_VM), np.full_like(wanted, _MOST_VM)
         least[at] = most[at] = np.clip(wanted, low, high)[at]
         window |= {("bus", "vm_min"): least, ("bus", "vm_max"): most}
-        return self.solve(plan.time, self.stocks(plan), window)
+        return self.solve(plan, self.stocks(plan), window)
 
 
 class _HeldLoads(Device):

@@ -10,8 +10,11 @@ import numpy as np
 from opfmodel.data.series import SeriesKey
 from opfmodel.model import Device, Stage
 from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.components import Branch, Shunt
+from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.request import Request
 from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
@@ -69,7 +72,12 @@ class ACPlant(Plant):
         if self._own is None:
             self._own = self.make(plan)
         network = self._happening.network(plan.problem, plan.time)
-        planned = {key: value[:, 0] for key, value in plan.quantities().items() if key[0] not in _NETWORK}
+        moves = [(s.kind, f"{s.name}_moves") for s in plan.model.settings.values()]
+        planned = {
+            key: value[:, 0]
+            for key, value in plan.quantities().items()
+            if key[0] not in _NETWORK or key in moves
+        }
         wanted = _without(self.aims(plan, planned), network)
         aims = _with_energy(wanted, planned, network, plan.problem.step)
         found = self.find(plan, aims, network)
@@ -98,15 +106,27 @@ class ACPlant(Plant):
         """Solve the plant's own problem for set-points."""
         raise NotImplementedError
 
-    def solve(self, time: int, initial: dict[str, Any] | None, window: Values) -> Plan:
+    def solve(self, plan: Plan, initial: dict[str, Any] | None, window: Values) -> Plan:
         """Solve from the last state, then from a cold start if that fails."""
         assert self._own is not None
-        out = self._happening.out(time, self._own.step)
-        found = self._own.solve(time, initial, self._last, expected=window, out=out)
+        out = self._happening.out(plan.time, self._own.step)
+        given = Request(
+            plan.time, initial, self._own.end, window, self._own.horizon, out, self._settings(plan)
+        )
+        found = self._own.solve_requested(given, self._last)
         if not found.optimal and self._last is not None:
-            found = self._own.solve(time, initial, expected=window, out=out)
+            found = self._own.solve_requested(given)
         self._last = found if found.optimal else None
         return found
+
+    def _settings(self, plan: Plan) -> dict[str, Array]:
+        """Return the taps, phase shifts and shunts of a plan, or their neutral values if it decides none."""
+        assert self._own is not None
+        made, chosen = {}, plan.quantities()
+        for setting in self._own.model.settings.values():
+            values = chosen.get((setting.kind, setting.name), setting.neutral)[:, :1]
+            made[setting.name] = np.clip(values, setting.low, setting.high)
+        return made
 
     def stocks(self, plan: Plan) -> dict[str, Array]:
         """Return the stored quantities before the step that the own problem has, in physical units."""
@@ -205,7 +225,7 @@ def one_stage(
 ) -> MultiStage:
     """Return a single-stage problem with AC physics for the network of a problem."""
     return MultiStage(
-        problem.network,
+        _without_moves(problem.network),
         step=problem.step,
         objective=objective,
         devices=devices,
@@ -214,6 +234,16 @@ def one_stage(
         options=_PRECISE,
         **{"profiles": problem.profiles, **options},
     )
+
+
+def _without_moves(network: Network) -> Network:
+    """Return a network that counts no moves of taps, phase shifters and shunts: those of the plan count."""
+    made = network.copy()
+    members: dict[str, Branch | Shunt] = {**network.of(Branch), **network.of(Shunt)}
+    for name, component in members.items():
+        if component.move_cost is not None:
+            made.update(name, move_cost=None)
+    return made
 
 
 def set_points(plan: Plan) -> list[Key]:

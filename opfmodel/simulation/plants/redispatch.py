@@ -80,7 +80,7 @@ class Redispatch(ACPlant):
             window[kind, field] = network.tables[kind].arrays[field]
         if self._happening.surprising(plan.time, plan.problem.step) and len(network.generator):
             window |= self._within(aims["generator", "pg"][:, None], network)
-        return self.solve(plan.time, initial, window)
+        return self.solve(plan, initial, window)
 
     def _within(self, planned: Array, network: PerUnitNetwork) -> Values:
         """Return the limits of units that move from their set-points for as long as a response may take."""

@@ -263,7 +263,14 @@ class Grid:
         """Shunt that equals a branch between fused buses: its charging, and circulating power at a tap."""
         from_end = branch.g / 2 + branch.g_from, branch.b / 2 + branch.b_from
         to_end = branch.g / 2 + branch.g_to, branch.b / 2 + branch.b_to
-        values = (branch.r, branch.x, *from_end, *to_end, branch.tap, math.radians(branch.shift))
+        values = (
+            branch.r,
+            branch.x,
+            *from_end,
+            *to_end,
+            branch.neutral("tap"),
+            math.radians(branch.neutral("shift")),
+        )
         y = branch_admittance(*map(np.array, values))
         base = float(self.source.net.sn_mva)
         g = float(y.g_ff + y.g_ft + y.g_tf + y.g_tt) * base

@@ -131,7 +131,7 @@ def _add_loads_and_shunts(net: Any, network: Network) -> None:
         )
     for name, shunt in network.of(Shunt).items():
         pandapower.create_shunt(
-            net, place[shunt.bus], -shunt.b, shunt.g, name=name, in_service=shunt.in_service
+            net, place[shunt.bus], -shunt.neutral("b"), shunt.g, name=name, in_service=shunt.in_service
         )
 
 
@@ -215,7 +215,8 @@ def _admittances(branches: list[Branch]) -> dict[str, npt.NDArray[np.complex128]
     total: dict[str, Any] = defaultdict(lambda: np.zeros((2, 2), dtype=complex))
     for c in branches:
         g, b = c.g / 2, c.b / 2
-        values = (c.r, c.x, c.g_from + g, c.b_from + b, c.g_to + g, c.b_to + b, c.tap, np.deg2rad(c.shift))
+        ends = c.g_from + g, c.b_from + b, c.g_to + g, c.b_to + b
+        values = (c.r, c.x, *ends, c.neutral("tap"), np.deg2rad(c.neutral("shift")))
         r, x, g_from, b_from, g_to, b_to, tap, shift = (np.asarray(value) for value in values)
         y = branch_admittance(r, x, g_from, b_from, g_to, b_to, tap, shift)
         matrix = np.array(
