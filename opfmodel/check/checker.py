@@ -65,8 +65,6 @@ class Checker:
             self.inside("voltage", self.buses, magnitude, self.buses.bounds("vm"), "p.u.")
         if flow is not None:
             self.check_branches(flow)
-        for key, unit in (("tap", "p.u."), ("shift", "deg")):
-            self.settings("branch", self.branches, key, key, unit, self.branches.each(f"{key}_steps"))
         if self.angles_known:
             limited = self.branches.where(self.limited_angles())
             angles = np.where(limited.status() > 0, self.angles()[self.limited_angles()], 0.0)
@@ -138,22 +136,6 @@ class Checker:
         """Check ``low <= values <= high``."""
         low, high = bounds
         self.note(family, items.names, np.maximum(low - values, values - high), unit)
-
-    def settings(
-        self, kind: str, items: Items, quantity: str, field: str, unit: str, positions: list[float | None]
-    ) -> None:
-        """Check the range of settings that were decided, and that those with positions are at one."""
-        if not self.has(quantity):
-            return
-        low, high = items.span(field)
-        values = items.values(quantity)
-        self.inside(f"{kind} {field} range", items, values, (low, high), unit)
-        gaps = np.array([math.nan if n is None else n - 1 for n in positions]).reshape(-1, 1)
-        size = (high - low) / gaps
-        with np.errstate(invalid="ignore", divide="ignore"):
-            away = np.abs(values - low - size * np.rint((values - low) / size))
-        away[np.isnan(away)] = 0.0  # any value
-        self.note(f"{kind} {field} position", items.names, away, unit)
 
     def continuous(self, family: str, items: Items, start: Array, end: Array, unit: str) -> None:
         """Check that a stored quantity starts each stage as it ended the one before."""

@@ -194,7 +194,7 @@ def cost_of_moves(stage: Stage) -> Any:
         if stage.has(f"{name}_moves"):
             of = getattr(stage, kind)
             price = np.where(np.isfinite(of.move_cost), of.move_cost, 0.0)
-            costs.append(total(price * getattr(of, f"{name}_moves")) * (1.0 / stage.step))
+            costs.append(total(price / stage.step * getattr(of, f"{name}_moves")))
     made = costs[0] if costs else None
     for cost in costs[1:]:
         made = made + cost

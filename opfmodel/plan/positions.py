@@ -2,41 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
+
+from opfmodel.model.declared import Setting
 from opfmodel.plan.request import Request
 from opfmodel.plan.result import Plan
 
 __all__ = ["at_positions"]
 
+Array = npt.NDArray[np.float64]
+Solve = Callable[[Request], Plan]
 
-def at_positions(plan: Plan, solve: Callable[[Request], Plan]) -> Plan:
-    """Return the plan with its settings at the nearest positions, and the effort of both.
+_REPAIRS = 4
+_TELLING = 0.1  # of the largest reduction of the penalty that one position promises
+
+
+def at_positions(plan: Plan, solve: Solve, elastic: Solve) -> Plan:
+    """Return the plan with its settings at positions, and the effort of all solves.
+
+    Settings are rounded to the nearest positions. Where no plan exists there, as at a binding voltage limit,
+    the multipliers of an elastic plan tell which settings to move by one position, and in which direction.
 
     Parameters
     ----------
     plan
         A plan with continuous settings.
-    solve
-        Solves a request, starting from the plan.
+    solve, elastic
+        Solve a request with hard and with soft limits, starting from the plan.
     """
-    settings = {
-        setting.name: setting.rounded(plan.solution.variable(setting.name))
-        for setting in plan.model.settings.values()
-        if setting.stepped.any()
-    }
-    if not settings or not plan.optimal or plan.request.settings is not None:
+    stepped = {name: own for name, own in plan.model.settings.items() if own.stepped.any()}
+    if not stepped or not plan.optimal or plan.request.settings is not None:
         return plan
-    found = solve(replace(plan.request, settings=settings))
-    before, after = plan.solution, found.solution
-    counted = [s.iterations for s in (before, after) if s.iterations is not None]
+    settings = {name: own.rounded(plan.solution.variable(name)) for name, own in stepped.items()}
+    solved = [plan, solve(replace(plan.request, settings=settings))]
+    for _ in range(_REPAIRS):
+        if not solved[-1].infeasible:
+            break
+        short = elastic(replace(plan.request, settings=settings))
+        settings, before = _moved(settings, stepped, short), settings
+        if all(np.array_equal(settings[name], before[name], equal_nan=True) for name in settings):
+            break
+        solved += [short, solve(replace(plan.request, settings=settings))]
+    return _with_effort(solved)
+
+
+def _moved(settings: Mapping[str, Array], stepped: Mapping[str, Setting], short: Plan) -> dict[str, Array]:
+    """Return settings of which those that reduce the penalty of an elastic plan most move by one position."""
+    if not short.optimal:
+        return dict(settings)
+    gains = {
+        name: np.where(own.stepped, short.solution.bound_dual(name) * own.size, 0.0)
+        for name, own in stepped.items()
+    }
+    largest = max(float(np.abs(gain).max()) for gain in gains.values())
+    made = {}
+    for name, own in stepped.items():
+        way = np.where(np.abs(gains[name]) >= _TELLING * largest, np.sign(gains[name]), 0.0)
+        made[name] = np.clip(settings[name] + way * own.size, own.low, own.high)
+    return made
+
+
+def _with_effort(solved: list[Plan]) -> Plan:
+    """Return the last plan with the effort of all, which knows the first one."""
+    solutions = [p.solution for p in solved]
+    counted = [s.iterations for s in solutions if s.iterations is not None]
+    last = solved[-1]
+    message = last.solution.message if last.optimal else f"{last.solution.message}; at the nearest positions"
     solution = replace(
-        after,
+        last.solution,
         iterations=sum(counted) if counted else None,
-        seconds=before.seconds + after.seconds,
-        message=after.message if found.optimal else f"{after.message}; at the nearest positions",
+        seconds=sum(s.seconds for s in solutions),
+        message=message,
     )
-    made = found.with_solution(found.problem, solution)
-    made.rounded_from = plan
+    made = last.with_solution(last.problem, solution)
+    made.rounded_from = solved[0]
     return made

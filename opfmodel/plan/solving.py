@@ -224,6 +224,7 @@ def _from_expected(
     chain = problem.expected_problem
     mean = mean_of_futures(known, request.horizon)
     mean = {key: values for key, values in mean.items() if key in chain.model.series}
-    plan = chain.solve_once(replace(request, expected=mean, horizon=chain.horizon))
+    asked = replace(request, expected=mean, horizon=chain.horizon, settings=None)
+    plan = chain.solve_once(asked)
     start = lifted(plan.solution, program, request.horizon) if plan.optimal else None
     return start, plan.solution.seconds

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.settings import Settings
 from opfmodel.check.trajectories import Complex
 from opfmodel.network.components import Shunt
 
@@ -17,20 +17,19 @@ if TYPE_CHECKING:
 __all__ = ["Shunts"]
 
 
-class Shunts(Equipment):
+class Shunts(Settings):
     """Power drawn at the square of the voltage."""
 
     component = Shunt
+    settings: ClassVar[Mapping[str, tuple[str, str]]] = {"shunt_b": ("b", "MVAr")}
 
     def __init__(self, checker: Checker) -> None:
         super().__init__(checker)
         self.items = checker.at_work(Shunt)
 
-    def check(self) -> None:
-        """Check the range and the steps of switchable shunts."""
-        self.checker.settings(
-            "shunt", self.items, "shunt_b", "b", "MVAr", [s and s + 1 for s in self.items.each("steps")]
-        )
+    def gaps(self, field: str) -> list[float | None]:  # noqa: ARG002 - there is one
+        """Return the number of steps."""
+        return self.items.each("steps")
 
     def power(self) -> Iterator[tuple[list[str], Complex]]:
         """Yield what is injected."""
