@@ -16,6 +16,7 @@ from .network import (
     Network as Network,
     PiecewiseLinear as PiecewiseLinear,
     Polynomial as Polynomial,
+    Renewable as Renewable,
     Shunt as Shunt,
     Storage as Storage,
     from_pandapower as from_pandapower,

@@ -68,11 +68,19 @@ def example(kind: str) -> Component:
     """Return a component of a kind with as many features as possible."""
     if kind == "generator":
         cost = om.PiecewiseLinear(((0, 0), (10, 200), (30, 900)))
-        return om.Generator("x", p=(0, 30), q=(-5, 5), ramp=4, cost=cost)
+        corners = ((0, -5), (30, -3), (30, 3), (0, 5))
+        return om.Generator("x", p=(0, 30), q=(-5, 5), ramp=4, cost=cost, capability=corners)
     if kind == "storage":
-        return om.Storage("x", energy=10, power=2, q=1, charge_efficiency=0.9, rating=2, standing_loss=0.01)
+        lossy = {"charge_efficiency": 0.9, "standing_loss": 0.01}
+        corners = ((-2, -0.5), (0, -1), (2, -0.5), (2, 1), (-2, 1))
+        return om.Storage("x", energy=10, power=2, q=1, rating=2, capability=corners, **lossy)
     if kind == "load":
         return om.Load("x", p=3, q=1)
+    if kind == "renewable":
+        corners = ((0, -2), (4, -2), (4, 1), (2, 2), (0, 2))
+        return om.Renewable(
+            "x", available=3, q=(-2, 2), power_factor=0.9, rating=3.1, curtail_cost=5, capability=corners
+        )
     if kind == "fleet":
         from example_plugins.fleet import Fleet
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
-from opfmodel.network.components import Generator, Storage
+from opfmodel.network.components import Generator, Renewable, Storage
 from opfmodel.network.shares import WIDE, divide
 
-__all__ = ["HeldGenerators", "HeldStorages", "without_limits"]
+__all__ = ["HeldGenerators", "HeldRenewables", "HeldStorages", "without_limits"]
 
 
 class HeldGenerators(Device):
@@ -69,6 +69,20 @@ class HeldStorages(Device):
         model.publish("storage", "ps", ps, unit="MW", description="charging power")
         model.publish("storage", "qs", qs, unit="MVAr", description="reactive power drawn")
         model.inject(table.bus, p=-ps, q=-qs)
+
+
+class HeldRenewables(Device):
+    """Renewables that generate what they can, with the reactive power within its limits nearest to 0."""
+
+    component = Renewable
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Publish ``renewable_p`` and ``renewable_q`` as set."""
+        p, q = model.parameter("renewable", "p_set"), model.parameter("renewable", "q_set")
+        model.publish("renewable", "renewable_p", p, unit="MW", description="renewable generation")
+        text = "reactive power of renewables"
+        model.publish("renewable", "renewable_q", q, unit="MVAr", description=text)
+        model.inject(table.bus, p=p, q=q)
 
 
 def _left(model: Model, what: str, shares: Array, group: Index) -> Any:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from opfmodel.devices.capability import active_bounds, limit_to_capability
 from opfmodel.errors import IncompatibleError
-from opfmodel.model import BoundSource, Device, Model
+from opfmodel.model import Bound, BoundSource, Device, Model
 from opfmodel.network.arrays import Array, Index, Table
 from opfmodel.network.components import Storage
 from solvers import Expression, Rows
@@ -16,7 +17,7 @@ _OVERLAP = 1e-6  # p_c p_d relative to its maximum: an exact zero would leave IP
 
 
 class StorageDevice(Device):
-    r"""Storages with efficiencies, standing loss and an optional inverter circle.
+    r"""Storages with efficiencies, standing loss and an optional inverter circle or capability curve.
 
     Positive power charges. Without losses :math:`e(k+1) = e(k) + \Delta\, p^s(k)`. With losses
 
@@ -34,7 +35,8 @@ class StorageDevice(Device):
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``ps``, ``qs`` and ``e``."""
         n, step = len(table), model.step
-        low, high = ("power_min", "power_max") if model.reactive else (_lowest, _highest)
+        rated: tuple[Bound, Bound] = (_lowest, _highest)
+        low, high = active_bounds(model, table, *(("power_min", "power_max") if model.reactive else rated))
         ps = model.variable("storage", "ps", low, high, unit="MW", description="charging power")
         e, e_next = model.stock(
             "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
@@ -44,6 +46,7 @@ class StorageDevice(Device):
             qs = model.variable(
                 "storage", "qs", "q_min", "q_max", unit="MVAr", description="reactive power drawn"
             )
+        limit_to_capability(model, table, ps, qs)
         model.inject(table.bus, p=-ps, q=None if qs is None else -qs)
         for power in (ps, qs):
             if power is not None:

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 __all__ = ["FORECAST_FIELDS", "Array", "Forecast", "forecast_fields", "part"]
 
 # Fields that are uncertain ahead of time; others, such as prices and ratings, are known.
-FORECAST_FIELDS = ("p", "q", "p_max")
+FORECAST_FIELDS = ("p", "q", "p_max", "available")
 
 
 class Forecast:

@@ -43,7 +43,7 @@ class Noisy(Forecast):
     correlation
         :math:`\phi`, at least 0 and below 1.
     fields
-        Fields of loads and generators that are forecast; others are known.
+        Fields of components that are forecast; others are known.
     common_share
         Share of the variance of the errors that is common to all components, from 0 to 1.
     """

@@ -25,7 +25,7 @@ class Persistence(Forecast):
     period
         Period in steps: 1 for the last value, 24 for the previous day in hourly steps.
     fields
-        Fields of loads and generators that are forecast; others are known.
+        Fields of components that are forecast; others are known.
     """
 
     def __init__(self, period: int = 1, fields: tuple[str, ...] = FORECAST_FIELDS) -> None:

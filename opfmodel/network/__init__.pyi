@@ -12,6 +12,7 @@ from .components import Branch as Branch
 from .components import Bus as Bus
 from .components import Generator as Generator
 from .components import Load as Load
+from .components import Renewable as Renewable
 from .components import Shunt as Shunt
 from .components import Storage as Storage
 from .costs import Cost as Cost

@@ -25,6 +25,7 @@ from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import is_adjustable
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
+from opfmodel.network.polygon import half_planes
 from opfmodel.network.quantities import CURRENCY
 from opfmodel.network.units import scale
 
@@ -48,7 +49,8 @@ class Table:
     A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
     gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
     per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
-    owners of segments (``segment_owner``) and flags are vectors. The ``status`` of a component that may go
+    owners of segments (``segment_owner``) and flags are vectors; see :func:`opfmodel.network.fields.points`
+    for those of a polygon. The ``status`` of a component that may go
     out is 1 in service and 0 while it is out.
 
     Attributes
@@ -148,6 +150,11 @@ class PerUnitNetwork:
     def shunt(self) -> Table:
         """Shunts."""
         return self.tables["shunt"]
+
+    @property
+    def renewable(self) -> Table:
+        """Renewables."""
+        return self.tables["renewable"]
 
     @property
     def n_components(self) -> int:
@@ -388,6 +395,7 @@ def _table(
     declared_mva: float,
 ) -> Table:
     arrays: dict[str, npt.NDArray[Any]] = {}
+    units: dict[str, str] = {}
     resolved = [member.resolved() for member in members.values()]
     for key, item in kind.fields().items():
         form, unit = item.metadata["form"], item.metadata["unit"]
@@ -410,12 +418,15 @@ def _table(
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
             arrays |= _cost_arrays(values, base_mva)
+        elif form == "points":
+            arrays |= _polygon_arrays(key, values, factor)
+            units |= {f"{key}_{part}": unit for part in ("limit", "p_min", "p_max", "q_min", "q_max")}
     arrays |= {name: np.zeros((len(members), 1)) for name in kind.clocked}
     if kind.lost:
         arrays["status"] = np.ones((len(members), 1))
     for array in arrays.values():
         array.flags.writeable = False
-    units = {name: field.unit for name, field in kind.table_fields().items()}
+    units |= {name: field.unit for name, field in kind.table_fields().items()}
     if "segment_slope" in arrays:
         units |= {"segment_slope": "$/MWh", "segment_offset": "$/h"}
     if "status" in arrays:
@@ -460,6 +471,30 @@ def _cost_arrays(costs: list[Cost], base_mva: float) -> dict[str, npt.NDArray[An
         "segment_slope": lines[:, 1:2] * base_mva,
         "segment_offset": lines[:, 2:].copy(),
     }
+
+
+def _polygon_arrays(key: str, polygons: list[Any], factor: float) -> dict[str, npt.NDArray[Any]]:
+    """Lay out polygons; see :func:`opfmodel.network.fields.points`."""
+    edges = [
+        (owner, *plane)
+        for owner, points in enumerate(polygons)
+        if points is not None
+        for plane in half_planes(points)
+    ]
+    planes = np.array(edges, dtype=float).reshape(-1, 4)
+    made: dict[str, npt.NDArray[Any]] = {
+        f"{key}_owner": planes[:, 0].astype(np.intp),
+        f"{key}_p": planes[:, 1:2].copy(),
+        f"{key}_q": planes[:, 2:3].copy(),
+        f"{key}_limit": planes[:, 3:] / factor,
+    }
+    everywhere = ((-np.inf, -np.inf), (np.inf, np.inf))
+    corners = [everywhere if points is None else points for points in polygons]
+    for axis, name in enumerate("pq"):
+        for end, extreme in (("min", min), ("max", max)):
+            values = [float(extreme(point[axis] for point in points)) for points in corners]
+            made[f"{key}_{name}_{end}"] = _column(values) / factor
+    return made
 
 
 def _column(values: list[float]) -> Array:

@@ -22,12 +22,14 @@ from opfmodel.network.fields import (
     is_flag,
     rules_of_adjustable,
     rules_of_number,
+    rules_of_points,
     rules_of_span,
     rules_of_weights,
     type_of_adjustable,
     type_of_bus,
     type_of_flag,
     type_of_number,
+    type_of_points,
     type_of_span,
     type_of_weights,
 )
@@ -60,6 +62,7 @@ _TYPES: Mapping[str, _Check] = {
     "cost": _type_of_cost,
     "weights": type_of_weights,
     "adjustable": type_of_adjustable,
+    "points": type_of_points,
 }
 _RULES: Mapping[str, _Check] = {
     "number": rules_of_number,
@@ -67,6 +70,7 @@ _RULES: Mapping[str, _Check] = {
     "cost": _rules_of_cost,
     "weights": rules_of_weights,
     "adjustable": rules_of_adjustable,
+    "points": rules_of_points,
 }
 
 
@@ -418,6 +422,7 @@ def plain_value(item: Field[Any], value: Any) -> Any:
         return {str(name): number for name, number in value.items()}
     if form == "bus" and isinstance(value, int) and not isinstance(value, bool):
         return str(value)
-    if form in ("span", "adjustable") and isinstance(value, Sequence) and not isinstance(value, str):
-        return tuple(value)
+    listed = form in ("span", "adjustable", "points")
+    if listed and isinstance(value, Sequence) and not isinstance(value, str):
+        return tuple(tuple(point) if isinstance(point, list) else point for point in value)
     return value

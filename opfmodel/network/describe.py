@@ -49,6 +49,8 @@ def unit_of(item: Field[Any]) -> str:
     >>> unit_of(Branch.fields()["r"])
     'p.u.'
     """
+    if "units" in item.metadata:
+        return ", ".join(item.metadata["units"])
     return "p.u." if item.metadata["unit"].startswith("p.u. ") else str(item.metadata["unit"])
 
 

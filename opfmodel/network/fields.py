@@ -11,6 +11,7 @@ import numpy as np
 
 from opfmodel.errors import ComponentError
 from opfmodel.network.bounds import LARGEST, bounded, is_number
+from opfmodel.network.polygon import fault_of
 
 __all__ = [
     "INF",
@@ -24,8 +25,10 @@ __all__ = [
     "is_adjustable",
     "is_flag",
     "number",
+    "points",
     "rules_of_adjustable",
     "rules_of_number",
+    "rules_of_points",
     "rules_of_span",
     "rules_of_weights",
     "span",
@@ -33,6 +36,7 @@ __all__ = [
     "type_of_bus",
     "type_of_flag",
     "type_of_number",
+    "type_of_points",
     "type_of_span",
     "type_of_weights",
     "weights",
@@ -193,6 +197,24 @@ def weights(unit: str, *, of: Sequence[str], default: Any = MISSING, description
     return field(default_factory=lambda: dict(default), metadata=metadata)
 
 
+def points(description: str = "") -> Any:
+    """Declare a field that holds the corners of a convex polygon of active and reactive power in order.
+
+    None means no limit. The arrays hold one entry per edge, the half-plane ``a p + b q <= c`` with
+    ``a² + b² = 1``: ``<field>_owner``, the position of the component, and ``<field>_p``, ``<field>_q`` and
+    ``<field>_limit``, which are a, b and c. Per component, they hold the ranges of the polygon, from
+    ``<field>_p_min`` to ``<field>_q_max``, infinite without one.
+    """
+    metadata = {
+        "form": "points",
+        "unit": "MW",
+        "units": ("MW", "MVAr"),
+        "series": False,
+        "description": description,
+    }
+    return field(default=None, metadata=metadata)
+
+
 class TableField(NamedTuple):
     """A quantity in the arrays of a kind of component.
 
@@ -329,6 +351,31 @@ def rules_of_weights(name: str, key: str, value: Mapping[str, Any], _: Mapping[s
     for member, number in value.items():
         if not bounded(number):
             raise ComponentError(name, f"{key}.{member}", number, _FINITE)
+
+
+def type_of_points(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is a list of at least three pairs of numbers."""
+    if value is None:
+        return
+    accepted = f"must be a list of at least 3 points [{', '.join(rules['units'])}]"
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 3:
+        raise ComponentError(name, key, value, accepted)
+    for point in value:
+        pair = isinstance(point, Sequence) and not isinstance(point, str) and len(point) == 2
+        if not pair or not all(map(is_number, point)):
+            raise ComponentError(name, key, point, accepted)
+
+
+def rules_of_points(name: str, key: str, value: Any, _: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless points are finite and the corners of a convex polygon."""
+    if value is None:
+        return
+    for point in value:
+        if not all(map(bounded, point)):
+            raise ComponentError(name, key, point, f"both must be finite numbers of at most {LARGEST:g}")
+    fault = fault_of(value)
+    if fault:
+        raise ComponentError(name, key, value, fault)
 
 
 def type_of_flag(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.components import Branch, Bus, Generator, Load, Storage
+from opfmodel.network.components import Branch, Bus, Generator, Load, Renewable, Storage
 from opfmodel.network.network import Network
 from opfmodel.network.suspicions import Suspicion, suspicions
 
@@ -53,7 +53,7 @@ class Inspection:
     levels
         In descending voltage.
     capacity_mw
-        Maximum generation; infinity if a unit has no limit.
+        Maximum generation, renewables included; infinity if a unit has no limit.
     storage_mw, storage_mwh
         Maximum discharging power and energy capacity of the storages.
     demand_mw
@@ -110,6 +110,7 @@ def inspect(network: Network, profiles: Mapping[Any, npt.ArrayLike] | None = Non
     parts = topology(network)
     demand = _over_time(network, series, Load, "p", lambda load: load.p)
     capacity = _over_time(network, series, Generator, "p_max", lambda unit: unit.p[1])
+    capacity = capacity + _over_time(network, series, Renewable, "available", lambda unit: unit.available)
     peak = int(np.argmax(demand))
     running = [s for s in network.of(Storage).values() if s.in_service]
     islands, loops = _islands(network, parts)
@@ -175,6 +176,9 @@ def _islands(network: Network, graph: Any) -> tuple[tuple[Island, ...], int]:
     for unit in network.of(Generator).values():
         if unit.in_service and unit.bus in place:
             capacity[place[unit.bus]] += unit.p[1]
+    for renewable in network.of(Renewable).values():
+        if renewable.in_service and renewable.bus in place:
+            capacity[place[renewable.bus]] += renewable.available
     for load in network.of(Load).values():
         if load.in_service and load.bus in place:
             demand[place[load.bus]] += load.p

@@ -26,7 +26,7 @@ from opfmodel.data.series import Profiles
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest, raise_all
 from opfmodel.network.bounds import BASE_MVA, is_number
 from opfmodel.network.component import Component, plain_value
-from opfmodel.network.components import BUILT_IN, Bus, Generator, Load, Storage
+from opfmodel.network.components import BUILT_IN, Bus, Generator, Load, Renewable, Storage
 from opfmodel.network.fields import INF
 from opfmodel.network.quantities import CURRENCY, currency_fault
 
@@ -87,7 +87,8 @@ class Network:
         generators, storages = self.of(Generator).values(), self.of(Storage).values()
         charging = (s.power[1] if isinstance(s.power, tuple) else s.power for s in storages if s.in_service)
         sums = (
-            sum(abs(g.p[1]) for g in generators if g.in_service and abs(g.p[1]) < INF),
+            sum(abs(g.p[1]) for g in generators if g.in_service and abs(g.p[1]) < INF)
+            + sum(r.available for r in self.of(Renewable).values() if r.in_service),
             sum(abs(load.p) for load in self.of(Load).values() if load.in_service),
             sum(power for power in charging if power < INF),
         )

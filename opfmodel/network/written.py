@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import Field
 from typing import Any
 
@@ -44,18 +44,20 @@ def without_units(
             return number(key, value, unit)
         if form == "cost" and isinstance(value, Mapping):
             return {part: cost(key, part, inner) for part, inner in value.items()}
+        if form == "points" and isinstance(value, list):
+            return [coordinates(key, point, item.metadata["units"]) for point in value]
         if form == "weights" and isinstance(value, Mapping):
             return {member: number(key, weight, unit) for member, weight in value.items()}
         return value
 
+    def coordinates(key: str, point: Any, units: Sequence[str]) -> Any:
+        if not isinstance(point, list) or len(point) != len(units):
+            return point
+        return [number(key, end, unit) for end, unit in zip(point, units, strict=True)]
+
     def cost(key: str, part: str, value: Any) -> Any:
         if part == "points" and isinstance(value, list):
-            return [
-                [number(key, end, unit) for end, unit in zip(point, POINT_UNITS, strict=True)]
-                if isinstance(point, list) and len(point) == len(POINT_UNITS)
-                else point
-                for point in value
-            ]
+            return [coordinates(key, point, POINT_UNITS) for point in value]
         return number(key, value, COEFFICIENT_UNITS[part]) if part in COEFFICIENT_UNITS else value
 
     return {key: plain(key, value, known[key]) if key in known else value for key, value in values.items()}

@@ -154,7 +154,10 @@ def cut_off(network: PerUnitNetwork, out: Iterable[str] = ()) -> list[tuple[str,
         if name not in lost:
             circuits.setdefault(frozenset((f, t)), []).append(name)
     demand = _demand(network)
-    capacity = network.at_buses("generator", network.generator.p_max).max(axis=1) * network.base_mva
+    capacity = sum(
+        network.at_buses(kind, network.tables[kind].arrays[field]).max(axis=1) * network.base_mva
+        for kind, field in (("generator", "p_max"), ("renewable", "available"))
+    )
     made = []
     for bridge in list(nx.bridges(graph)):
         names = circuits[frozenset(bridge)]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
-from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
+from opfmodel.devices.held import HeldGenerators, HeldRenewables, HeldStorages, without_limits
 from opfmodel.devices.load import LoadDevice
 from opfmodel.errors import ModelError
 from opfmodel.formulations.ac import AC
@@ -49,7 +49,7 @@ def power_flow(
     network
         The network. Generators inject ``pg_set``; those that regulate hold ``vm_set`` at their bus and share
         the reactive power that this takes in proportion to their ranges, the others inject ``qg_set``.
-        Storages draw ``ps_set`` and ``qs_set``. Limits are not enforced.
+        Storages draw ``ps_set`` and ``qs_set``, renewables inject what is available. Limits are not enforced.
     slack
         Which generators of an island cover what the set-points lack: ``single`` the first that regulates the
         reference bus, ``distributed`` all that participate.
@@ -139,7 +139,12 @@ class _Flow:
             reactive=True,
             zones=np.arange(len(points.network.bus)),
         )
-        devices: list[Device] = [HeldGenerators(shares, points.regulates), HeldStorages(), LoadDevice()]
+        devices: list[Device] = [
+            HeldGenerators(shares, points.regulates),
+            HeldStorages(),
+            *([HeldRenewables()] if len(points.network.renewable) else []),
+            LoadDevice(),
+        ]
         for device in devices:
             model.connect(device)
         AC().declare(model)

@@ -21,7 +21,7 @@ from opfmodel.plan.result import Plan
 from opfmodel.plan.security import NOTHING, Security
 
 if TYPE_CHECKING:
-    from opfmodel.network.arrays import PerUnitNetwork
+    from opfmodel.network.arrays import PerUnitNetwork, Table
     from opfmodel.plan.multistage import MultiStage
 
 __all__ = ["Outcome", "Responses", "Stage", "Worst", "stages_of"]
@@ -286,13 +286,41 @@ def _ac_outages(response: Plan, security: Security) -> ACOutages:
     ramp = units.ramp[:, 0] * security.response_minutes / 60
     up = np.minimum(units.p_max[:, 0], pg[:, 0] + ramp) - pg[:, 1]
     down = pg[:, 1] - np.maximum(units.p_min[:, 0], pg[:, 0] - ramp)
+    q_up, q_down = units.q_max[:, 0] - qg[:, 1], qg[:, 1] - units.q_min[:, 0]
+    up, down, q_up, q_down = _within_curves(units, pg[:, 1], qg[:, 1], (up, down, q_up, q_down))
     island = network.island[units.bus]
     if security.response == "preventive":
         share = security.shares(units, island)[:, 0]
     else:
         share = divide(np.clip(np.minimum(up, down), 0.0, WIDE), island)
-    q_up, q_down = units.q_max[:, 0] - qg[:, 1], qg[:, 1] - units.q_min[:, 0]
     droop = _DROOP if security.response == "corrective" else 0.0
     return ACOutages(
         network, network.branch.status[:, 0], vm, va, Reserve(up, down, share, q_up, q_down, droop)
     )
+
+
+def _within_curves(
+    units: Table, pg: Array, qg: Array, reserves: tuple[Array, Array, Array, Array]
+) -> tuple[Array, Array, Array, Array]:
+    """Return reserves up and down, active and reactive, that units can use together within their curves.
+
+    Those of a unit with a capability curve shrink by one factor, until all of their box is within the curve.
+    """
+    owner = units.capability_owner
+    if not owner.size:
+        return reserves
+    ranges = (
+        units.capability_p_max[:, 0] - pg,
+        pg - units.capability_p_min[:, 0],
+        units.capability_q_max[:, 0] - qg,
+        qg - units.capability_q_min[:, 0],
+    )
+    up, down, q_up, q_down = (np.minimum(r, most) for r, most in zip(reserves, ranges, strict=True))
+    a, b, limit = (getattr(units, f"capability_{part}")[:, 0] for part in ("p", "q", "limit"))
+    left = np.maximum(limit - a * pg[owner] - b * qg[owner], 0.0)
+    farthest = np.where(a > 0, a * up[owner], -a * down[owner]) + np.where(
+        b > 0, b * q_up[owner], -b * q_down[owner]
+    )
+    share = np.ones(len(units))
+    np.minimum.at(share, owner, np.divide(left, farthest, out=np.ones_like(left), where=farthest > left))
+    return share * up, share * down, share * q_up, share * q_down

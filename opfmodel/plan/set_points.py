@@ -26,7 +26,8 @@ class Held:
     Attributes
     ----------
     network
-        The network with ``pg_set``, ``qg_set``, ``ps_set`` and ``qs_set`` filled in.
+        The network with ``pg_set``, ``qg_set``, ``ps_set`` and ``qs_set`` filled in, and with
+        ``p_set`` and ``q_set`` of the renewables.
     regulates
         Mask of the generators that hold the voltage of their bus.
     reference
@@ -94,6 +95,7 @@ class Held:
         """Active power injected into each bus at 1 p.u., if generators share what their island lacks."""
         network = self.network
         total = network.at_buses("generator", network.generator.pg_set)
+        total = total + network.at_buses("renewable", network.renewable.p_set)
         for kind, field in (("load", "p"), ("storage", "ps_set"), ("shunt", "g")):
             total = total - network.at_buses(kind, network.tables[kind].arrays[field])
         lacking = -np.bincount(network.island, total[:, 0])
@@ -110,6 +112,7 @@ def held(network: PerUnitNetwork) -> Held:
         No generator in service holds the voltage of an island.
     """
     table = network.generator
+    units = network.renewable
     regulates = table.regulates
     notes = list(network.notes)
     reference = _references(network, notes)
@@ -122,6 +125,8 @@ def held(network: PerUnitNetwork) -> Held:
             ),
             ("storage", "ps_set"): _or_zero(network.storage.ps_set),
             ("storage", "qs_set"): _or_zero(network.storage.qs_set),
+            ("renewable", "p_set"): _uncurtailed(units),
+            ("renewable", "q_set"): np.clip(0.0, units.q_min, units.q_max),
         }
     )
     return Held(ready, regulates, reference, at, vm, network.bus.va_set[reference, 0], tuple(notes))
@@ -177,6 +182,11 @@ def _given(table: Table, field: str, limits: str) -> Array:
     values: Array = table.arrays[field]
     nearest_zero = np.clip(0.0, table.arrays[f"{limits}_min"], table.arrays[f"{limits}_max"])
     return np.where(np.isfinite(values), values, nearest_zero)
+
+
+def _uncurtailed(units: Table) -> Array:
+    """Return what is available, as far as ratings and capability curves permit."""
+    return np.asarray(np.minimum(units.available, np.minimum(units.rating, units.capability_p_max)))
 
 
 def _or_zero(values: Array) -> Array:

@@ -12,10 +12,11 @@ from opfmodel.errors import ResultError, listed, nearest, shown
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["at_bus", "chosen", "injections", "members", "named_buses", "stages", "total"]
+__all__ = ["at_bus", "chosen", "generation", "injections", "members", "named_buses", "stages", "total"]
 
 _MOST_BUSES = 7  # of a network of which all are shown by default
 _MOST_NAMES = 5  # in a message
+_GENERATED = (("generator", "pg"), ("renewable", "renewable_p"))
 
 
 def stages(data: xr.Dataset) -> str:
@@ -29,6 +30,11 @@ def total(data: xr.Dataset, quantity: str) -> Any:
         return np.zeros(data.sizes[stages(data)])
     array = data[quantity]
     return array.sum([d for d in array.dims if d != stages(data)]).values
+
+
+def generation(data: xr.Dataset) -> Any:
+    """Active power of all generators and renewables."""
+    return sum(total(data, quantity) for _, quantity in _GENERATED)
 
 
 def injections(data: xr.Dataset) -> list[str]:
@@ -73,9 +79,10 @@ def chosen(data: xr.Dataset, names: Sequence[str] | None) -> list[str]:
     weight = dict.fromkeys(known, 0.0)
     for bus in known:
         weight[bus] = float(np.abs(data["pd"].sel(bus=bus)).max())
-        generated = at_bus(data, "pg", "generator", bus)
-        if generated is not None:
-            weight[bus] = max(weight[bus], float(np.abs(generated).max()))
+        for kind, quantity in _GENERATED:
+            generated = at_bus(data, quantity, kind, bus)
+            if generated is not None:
+                weight[bus] = max(weight[bus], float(np.abs(generated).max()))
     return sorted(sorted(known, key=lambda b: -weight[b])[:4], key=known.index)
 
 

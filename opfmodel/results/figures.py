@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError
-from opfmodel.results.aggregates import at_bus, chosen, injections, total
+from opfmodel.results.aggregates import at_bus, chosen, generation, injections, total
 from opfmodel.results.drawing import (
     COLOURS,
     add_title,
@@ -40,10 +40,13 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     stored = "e_next" in data
     figure, axes = column(2 + stored + ("cost_rate" in data))
     panels = iter(axes)
-    generation, drawn, charging = (total(data, name) for name in ("pg", "pd", "ps"))
+    drawn, charging = (total(data, name) for name in ("pd", "ps"))
     power, rest = next(panels), next(panels)
     draw_steps(power, data, drawn, label="demand", color=COLOURS[6], linestyle="-.")
-    draw_steps(power, data, generation, label="generation", color=COLOURS[0])
+    draw_steps(power, data, generation(data), label="generation", color=COLOURS[0])
+    if "renewable_p" in data:
+        renewable = total(data, "renewable_p")
+        draw_steps(power, data, renewable, label="of which renewable", color=COLOURS[2], linestyle=":")
     power.set_ylabel("power [MW]")
     if stored:
         draw_steps(rest, data, charging, label="storage (charging > 0)", color=COLOURS[1], linestyle="--")
@@ -92,6 +95,7 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     colours = colour_of(chosen(data, names))
     panels = [
         ("generator", ("pg", "qg"), "generation\n[MW], [MVAr]"),
+        ("renewable", ("renewable_p", "renewable_q"), "renewables\n[MW], [MVAr]"),
         ("storage", ("ps", "qs"), "storage power\n[MW], [MVAr]"),
         ("bus", ("vm",), "voltage [p.u.]"),
         ("bus", ("va",), "angle [deg]"),

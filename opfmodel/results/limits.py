@@ -50,6 +50,20 @@ LIMITS = {
         lambda t: np.maximum(t.q_min, -t.rating),
         lambda t: np.minimum(t.q_max, t.rating),
     ),
+    "renewable_p": Limit(
+        "renewable",
+        "MW",
+        "renewable generation",
+        lambda t: np.zeros_like(t.available),
+        lambda t: np.minimum(t.available, t.rating),
+    ),
+    "renewable_q": Limit(
+        "renewable",
+        "MVAr",
+        "reactive power of renewables",
+        lambda t: np.maximum(t.q_min, -t.rating),
+        lambda t: np.minimum(t.q_max, t.rating),
+    ),
     "e": Limit("storage", "MWh", "stored energy", lambda t: t.energy_min, lambda t: t.energy),
 }
 """Quantities whose limits a dataset has as ``<quantity>_min`` and ``<quantity>_max``."""
@@ -96,10 +110,10 @@ def binding(data: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         Integers by the name of the quantity, with its dimensions: ``vm``, ``pg``, ``qg``, ``ps``, ``qs``,
-        and ``e`` at the end of each stage. ``pg_ramp`` is 1 where generation rises from the stage before by
-        as much as its ramp limit permits, and -1 where it falls by as much. Quantities that are fixed
-        are at no limit, nor are components while they are out of service. A quantity whose limits
-        are not in the data is absent.
+        ``renewable_p``, ``renewable_q``, and ``e`` at the end of each stage. ``pg_ramp`` is 1 where
+        generation rises from the stage before by as much as its ramp limit permits, and -1 where it falls by
+        as much. Quantities that are fixed are at no limit, nor are components while they are out of service.
+        A quantity whose limits are not in the data is absent.
     """
     made = data[[]]
     for quantity, limit in LIMITS.items():

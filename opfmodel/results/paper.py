@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.results.aggregates import at_bus, chosen, injections, members, stages, total
+from opfmodel.results.aggregates import at_bus, chosen, generation, injections, members, stages, total
 from opfmodel.results.drawing import (
     COLOURS,
     WIDTH,
@@ -61,6 +61,7 @@ class _Panel(NamedTuple):
 
 _PANELS = (
     _Panel("generator", "pg", "qg", "generation\n[MW], [MVAr]"),
+    _Panel("renewable", "renewable_p", "renewable_q", "renewables\n[MW], [MVAr]"),
     _Panel("storage", "ps", "qs", "charging power\n[MW], [MVAr]"),
     _Panel("bus", "vm", "va", "voltage [p.u.]", "angle [deg]"),
     _Panel("storage", "e", "", "energy [MWh]"),
@@ -249,7 +250,10 @@ def _draw_totals(axes: Sequence[Any], data: xr.Dataset) -> None:
     """Draw demand and generation above storage and losses, which are much smaller, and stored energy."""
     large, small = axes[:2]
     draw_steps(large, data, total(data, "pd"), label="demand $P^d$", color=COLOURS[6], linestyle="-.")
-    draw_steps(large, data, total(data, "pg"), label="generation $P^g$", color=COLOURS[0])
+    draw_steps(large, data, generation(data), label="generation $P^g$", color=COLOURS[0])
+    if "renewable_p" in data:
+        renewable = total(data, "renewable_p")
+        draw_steps(large, data, renewable, label="of which renewable", color=COLOURS[2], linestyle=":")
     if "ps" in data:
         draw_steps(small, data, total(data, "ps"), label="charging $P^s$", color=COLOURS[1], linestyle="--")
     if {"pf", "pt"} <= set(data):

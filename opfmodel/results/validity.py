@@ -26,19 +26,29 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("pg", "qg"), ("time", "generator")),
     **dict.fromkeys(("ps", "qs", "e", "e_next"), ("time", "storage")),
     **dict.fromkeys(("pf", "qf", "pt", "qt"), ("time", "branch")),
-    **{f"{kind}_status": ("time", kind) for kind in ("branch", "generator", "storage")},
+    **dict.fromkeys(("renewable_p", "renewable_q"), ("time", "renewable")),
+    **{f"{kind}_status": ("time", kind) for kind in ("branch", "generator", "storage", "renewable")},
     **dict.fromkeys(("cost_rate", "outages_known"), ("time",)),
     "generator_bus": ("generator",),
     "storage_bus": ("storage",),
+    "renewable_bus": ("renewable",),
 }
 # Kind of the limits, which vary over time or are constant.
 _LIMITS = {
     **{f"{name}_{end}": limit.kind for name, limit in LIMITS.items() for end in ("min", "max")},
     **{f"{name}_ramp": kind for name, (kind, _, _) in RAMPS.items()},
 }
-_MEMBERSHIPS = ("generator_bus", "storage_bus")
+_MEMBERSHIPS = ("generator_bus", "storage_bus", "renewable_bus")
 # What a quantity is shown with.
-_TOGETHER = {"pf": "pt", "pt": "pf", "e": "e_next", "e_next": "e", "pg": "generator_bus", "ps": "storage_bus"}
+_TOGETHER = {
+    "pf": "pt",
+    "pt": "pf",
+    "e": "e_next",
+    "e_next": "e",
+    "pg": "generator_bus",
+    "ps": "storage_bus",
+    "renewable_p": "renewable_bus",
+}
 
 
 def check_trajectories(data: xr.Dataset) -> None:

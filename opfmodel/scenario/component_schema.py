@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import Field
 from typing import Any
 
@@ -61,6 +61,8 @@ def _field(item: Field[Any]) -> Schema:
         form = [*_shared(number), {"type": "array", "items": {"anyOf": number}, "minItems": 2, "maxItems": 2}]
     elif rules["form"] == "cost":
         form = _cost()
+    elif rules["form"] == "points":
+        form = [{"type": "array", "items": _point(rules["units"]), "minItems": 3}, {"type": "null"}]
     elif rules["form"] == "weights":
         form = [{"type": "object", "additionalProperties": {"anyOf": number}}]
     else:
@@ -88,21 +90,24 @@ def _shared(number: list[Schema]) -> list[Schema]:
 
 def _cost() -> list[Schema]:
     coefficients = {name: {"anyOf": _number(unit)} for name, unit in COEFFICIENT_UNITS.items()}
-    point = {
-        "type": "array",
-        "prefixItems": [{"anyOf": _number(unit)} for unit in POINT_UNITS],
-        "minItems": len(POINT_UNITS),
-        "maxItems": len(POINT_UNITS),
-    }
     return [
         {"type": "object", "properties": coefficients, "additionalProperties": False},
         {
             "type": "object",
-            "properties": {"points": {"type": "array", "items": point}},
+            "properties": {"points": {"type": "array", "items": _point(POINT_UNITS)}},
             "required": ["points"],
             "additionalProperties": False,
         },
     ]
+
+
+def _point(units: Sequence[str]) -> Schema:
+    return {
+        "type": "array",
+        "prefixItems": [{"anyOf": _number(unit)} for unit in units],
+        "minItems": len(units),
+        "maxItems": len(units),
+    }
 
 
 def _bounds(item: Field[Any]) -> Schema:

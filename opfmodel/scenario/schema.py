@@ -229,6 +229,7 @@ class ContingenciesSection(Section):
     branches: list[str] = Field(default_factory=list, description="names or patterns of branches")
     generators: list[str] = Field(default_factory=list, description="names or patterns of generators")
     storages: list[str] = Field(default_factory=list, description="names or patterns of storages")
+    renewables: list[str] = Field(default_factory=list, description="names or patterns of renewables")
 
 
 class SecuritySection(Section):
@@ -313,11 +314,12 @@ class ControllerSection(Section):
 
 
 class OutageSection(Section):
-    """A component that trips in the closed loop: one of `branch`, `generator` and `storage`."""
+    """A component that trips in the closed loop: one of `branch`, `generator`, `storage` and `renewable`."""
 
     branch: str | None = Field(None, description="name of a branch")
     generator: str | None = Field(None, description="name of a generator, in place of a branch")
     storage: str | None = Field(None, description="name of a storage, in place of a branch")
+    renewable: str | None = Field(None, description="name of a renewable, in place of a branch")
     step: int = Field(ge=0, description="step of the loop at whose beginning it trips, from 0 on")
     hours: Annotated[float, In("h")] = Field(
         gt=0, description="how long it is out of service, a multiple of `time.step`"
@@ -326,7 +328,12 @@ class OutageSection(Section):
     @property
     def named(self) -> dict[str, str]:
         """Name of the component, by kind."""
-        given = {"branch": self.branch, "generator": self.generator, "storage": self.storage}
+        given = {
+            "branch": self.branch,
+            "generator": self.generator,
+            "storage": self.storage,
+            "renewable": self.renewable,
+        }
         return {kind: name for kind, name in given.items() if name is not None}
 
 

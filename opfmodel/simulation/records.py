@@ -27,10 +27,15 @@ DESCRIBED = {
     "angle_excess": ("deg", "angle difference outside its limits"),
     "pg_excess": ("MW", "active generation outside its limits"),
     "qg_excess": ("MVAr", "reactive generation outside its limits"),
+    **{
+        f"{kind}_capability_excess": ("MVA", "distance of the power from within the capability curve")
+        for kind in ("generator", "storage", "renewable")
+    },
     "ramp_excess": ("MW", "change of generation beyond the ramp limit"),
     "e_excess": ("MWh", "stored energy at the end of a stage outside its limits"),
     "pg_redispatch": ("MW", "absolute deviation of generation from its set-point"),
     "ps_redispatch": ("MW", "absolute deviation of charging power from its set-point"),
+    "renewable_p_redispatch": ("MW", "absolute deviation of renewable generation from its set-point"),
     "pg_curtailed": ("MW", "available power not generated"),
     "p_unserved": ("MW", "unserved active demand"),
     "q_unserved": ("MVAr", "unserved reactive demand"),
@@ -39,6 +44,12 @@ DESCRIBED = {
     "q_shortage": ("MVAr", "unserved reactive balance (slack injection)"),
     "q_surplus": ("MVAr", "surplus reactive balance (slack withdrawal)"),
 }
+_POWERS = (
+    ("generator", "pg", "qg"),
+    ("storage", "ps", "qs"),
+    ("renewable", "renewable_p", "renewable_q"),
+)
+_CURTAILED = "_curtailed"  # ending of what devices publish as available but not generated, MW
 _TOLERANCE = 1e-5  # p.u.; smaller excesses are solver tolerance in the plan and the resulting state
 
 
@@ -66,6 +77,10 @@ def excesses(network: PerUnitNetwork, values: Values, step: float, before: Array
         made["generator", "qg_excess"] = _outside(qg, generator, "q_min", "q_max")
         change = np.zeros_like(pg) if before is None else np.abs(pg - before)
         made["generator", "ramp_excess"] = np.maximum(change - step * _now(generator, "ramp"), 0.0)
+    for kind, p, q in _POWERS:
+        if (kind, p) in values and network.tables[kind].capability_owner.size:
+            excess = _beyond_curve(network.tables[kind], values[kind, p], values[kind, q])
+            made[kind, f"{kind}_capability_excess"] = excess
     if ("storage", "e_next") in values:
         storage = network.storage
         made["storage", "e_excess"] = _outside(values["storage", "e_next"], storage, "energy_min", "energy")
@@ -84,7 +99,7 @@ def changes(
     """
     made = {
         (kind, f"{name}_redispatch"): np.abs(values[kind, name] - planned[kind, name])
-        for kind, name in (("generator", "pg"), ("storage", "ps"))
+        for kind, name, _ in _POWERS
         if (kind, name) in planned
     }
     if len(network.generator):
@@ -99,11 +114,13 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     if steps and (stored := steps[-1].values.get(("storage", "e_next"))) is not None:
         made["stored_mwh"] = float(stored.sum()) * base
-    named = {name: (kind, name) for step in steps for kind, name in step.values if name in DESCRIBED}
+    seen = {name: (kind, name) for step in steps for kind, name in step.values}
+    named = {name: key for name, key in seen.items() if name in DESCRIBED or name.endswith(_CURTAILED)}
+    curtailed = [name for name in named if name.endswith(_CURTAILED)]
     for key, names in (
-        ("redispatched_mwh", ("pg_redispatch", "ps_redispatch")),
+        ("redispatched_mwh", [f"{name}_redispatch" for _, name, _ in _POWERS]),
         ("shed_mwh", ("p_unserved", "p_shortage")),
-        ("curtailed_mwh", ("pg_curtailed", "p_surplus")),
+        ("curtailed_mwh", (*curtailed, "p_surplus")),
     ):
         present = [named[name] for name in names if name in named]
         if present:
@@ -118,6 +135,14 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
         made["violated_steps"] = sum(worst > _TOLERANCE for worst in broken)
         made["unsolved_steps"] = sum(not step.solved for step in steps)
     return made
+
+
+def _beyond_curve(table: Table, p: Array, q: Array) -> Array:
+    """Return the distance of power from the edges of the capability curves, while units are in service."""
+    owner, made = table.capability_owner, np.zeros(len(table))
+    beyond = _now(table, "capability_p") * p[owner] + _now(table, "capability_q") * q[owner]
+    np.maximum.at(made, owner, beyond - _now(table, "capability_limit"))
+    return made * _now(table, "status")
 
 
 def _outside(values: Array, table: Table, lower: str, upper: str) -> Array:

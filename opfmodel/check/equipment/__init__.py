@@ -5,10 +5,11 @@ from __future__ import annotations
 from opfmodel.check.equipment.base import Equipment
 from opfmodel.check.equipment.generators import Generators
 from opfmodel.check.equipment.loads import Loads
+from opfmodel.check.equipment.renewables import Renewables
 from opfmodel.check.equipment.settings import Branches
 from opfmodel.check.equipment.shunts import Shunts
 from opfmodel.check.equipment.storages import Storages
 
 __all__ = ["EQUIPMENT", "Equipment"]
 
-EQUIPMENT: tuple[type[Equipment], ...] = (Branches, Generators, Storages, Loads, Shunts)
+EQUIPMENT: tuple[type[Equipment], ...] = (Branches, Generators, Storages, Renewables, Loads, Shunts)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.capability import check_capability
 from opfmodel.check.trajectories import Array, Complex
 from opfmodel.network.components import Generator
 from opfmodel.network.costs import PiecewiseLinear
@@ -17,7 +18,7 @@ __all__ = ["Generators"]
 
 
 class Generators(Equipment):
-    """Active and reactive power limits, ramps and costs."""
+    """Active and reactive power limits, capability curves, ramps and costs."""
 
     component = Generator
 
@@ -27,6 +28,7 @@ class Generators(Equipment):
         checker.inside("generator p", units, units.values("pg"), units.left("p"), "MW")
         if checker.reactive:
             checker.inside("generator q", units, units.values("qg"), units.left("q"), "MVAr")
+        check_capability(checker, units, "pg", "qg")
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
         known = checker.previous_pg or {}
         before = np.array([known.get(name, math.nan) for name in ramped.names]).reshape(-1, 1)

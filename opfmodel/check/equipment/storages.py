@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.capability import check_capability
 from opfmodel.check.trajectories import Array, Complex
 from opfmodel.network.components import Storage
 
@@ -14,18 +15,19 @@ __all__ = ["Storages"]
 
 
 class Storages(Equipment):
-    """Power and apparent-power limits and, unless the data have no energy, that of each storage."""
+    """Power, apparent power, capability curves and, unless the data have no energy, that of each storage."""
 
     component = Storage
 
     def check(self) -> None:
-        """Check power, rating and energy."""
+        """Check power, rating, capability curve and energy."""
         checker, units = self.checker, self.items
         ps = units.values("ps")
         qs = units.values("qs") if checker.reactive else np.zeros_like(ps)
         checker.inside("storage power", units, ps, units.left("power"), "MW")
         checker.inside("storage q", units, qs, units.left("q"), "MVAr")
         checker.note("storage rating", units.names, np.hypot(ps, qs) - units.number("rating"), "MVA")
+        check_capability(checker, units, "ps", "qs")
         if checker.has("e", "e_next") or not units.names:
             self._check_energy(ps)
         else:  # a power flow is the state of one moment

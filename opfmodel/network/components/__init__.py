@@ -11,10 +11,11 @@ from opfmodel.network.components.branch import Branch
 from opfmodel.network.components.bus import Bus
 from opfmodel.network.components.generator import Generator
 from opfmodel.network.components.load import Load
+from opfmodel.network.components.renewable import Renewable
 from opfmodel.network.components.shunt import Shunt
 from opfmodel.network.components.storage import Storage
 
-__all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Shunt", "Storage"]
+__all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Renewable", "Shunt", "Storage"]
 
-BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt, Renewable)
 """Kinds of this package; devices from other packages define their own."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from opfmodel.network.component import Component, component
+from opfmodel.network.components.capability import capability, check_capability
 from opfmodel.network.costs import Cost, Polynomial
 from opfmodel.network.fields import INF, at_bus, cost_of, flag, in_service, number, span
 
@@ -66,4 +67,10 @@ class Generator(Component):
         description="Weight in the distributed slack of a power flow, relative to the other generators of "
         "its island; none for p_max if it regulates, else 0.",
     )
+    capability: tuple[tuple[float, float], ...] | None = capability()
     in_service: bool = in_service()
+
+    def check(self, name: str) -> None:
+        """Raise :class:`ComponentError` if a field breaks a rule or no power is within all limits."""
+        super().check(name)
+        check_capability(name, self.capability, self.p, self.q)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
+from opfmodel.network.components.capability import capability, check_capability
 from opfmodel.network.fields import at_bus, flag, in_service, number, span
 
 __all__ = ["Storage"]
@@ -88,6 +89,7 @@ class Storage(Component):
         series=False,
         description="Set-point of the reactive power drawn in a power flow; none for 0.",
     )
+    capability: tuple[tuple[float, float], ...] | None = capability("power as drawn")
     in_service: bool = in_service()
 
     def check(self, name: str) -> None:
@@ -103,6 +105,7 @@ class Storage(Component):
             raise ComponentError(
                 name, "rating", self.rating, f"power and q need at least {least:g} MVA, whatever is decided"
             )
+        check_capability(name, self.capability, power, q)
         if self.initial is not None and not self.energy_min <= self.initial <= self.energy:
             raise ComponentError(
                 name,

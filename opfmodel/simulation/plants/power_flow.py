@@ -15,7 +15,7 @@ from opfmodel.network.components import Generator, Load, Storage
 from opfmodel.network.shares import WIDE, divide
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
-from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points
+from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, decided, one_stage
 from opfmodel.simulation.records import DESCRIBED
 
 __all__ = ["PowerFlow"]
@@ -83,7 +83,8 @@ class PowerFlow(ACPlant):
             Load: _HeldLoads(),
         }
         devices = [own.get(device.component, device) for device in problem.devices]
-        others = [key for key in set_points(plan) if key not in ALWAYS]
+        deciding = [device for device in problem.devices if device.component not in own]
+        others = [*decided(problem.arrays, deciding)]
         prices = dict.fromkeys((*ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0)
         self._set_points = SetPoints(prices, _without_limits(problem.arrays))
         return one_stage(problem, self._set_points, devices, outages=self.outages.components)

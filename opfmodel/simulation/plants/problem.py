@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from opfmodel.data.series import SeriesKey
-from opfmodel.model import Device, Stage
+from opfmodel.horizon import Horizon
+from opfmodel.model import Device, Model, Stage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.components import Branch, Shunt
 from opfmodel.network.network import Network
@@ -20,7 +21,7 @@ from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
 
-__all__ = ["ALWAYS", "ACPlant", "SetPoints", "one_stage", "set_points", "unit_of"]
+__all__ = ["ALWAYS", "ACPlant", "SetPoints", "decided", "one_stage"]
 
 _NETWORK = ("bus", "branch")
 ALWAYS = (("generator", "pg"), ("generator", "qg"), ("storage", "ps"), ("storage", "qs"))
@@ -246,11 +247,17 @@ def _without_moves(network: Network) -> Network:
     return made
 
 
-def set_points(plan: Plan) -> list[Key]:
-    """Return the quantities of devices that a plan decides, without stocks and reports."""
-    return [key for key in plan.decisions() if key[0] not in _NETWORK]
+def decided(network: PerUnitNetwork, devices: Sequence[Device]) -> dict[Key, str]:
+    """Return the quantities that devices decide under the AC equations, without stocks, with their units.
 
-
-def unit_of(plan: Plan, key: Key) -> str:
-    """Return the physical unit of a quantity of a plan."""
-    return plan.problem.described[key[1]][0]
+    A plan without reactive power decides fewer.
+    """
+    model = Model(network, Horizon.chain(1), reactive=True, zones=np.arange(len(network.bus)))
+    for device in devices:
+        model.connect(device)
+    stocks = {name for name, state in model.states.items() if state.role == "stock"}
+    return {
+        (p.kind, name): p.unit
+        for name, p in model.published.items()
+        if name in model.build.variables and name not in stocks
+    }

@@ -13,7 +13,7 @@ from opfmodel.network.quantities import In
 from opfmodel.network.series import widest
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
-from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, one_stage, set_points, unit_of
+from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, decided, one_stage
 
 __all__ = ["Redispatch"]
 
@@ -52,8 +52,9 @@ class Redispatch(ACPlant):
 
     def make(self, plan: Plan) -> MultiStage:
         """Return a problem with all limits and a price on the deviation from set-points."""
-        wanted = list(dict.fromkeys([*ALWAYS, *set_points(plan)]))
-        reactive = (*ALWAYS[1::2], *(k for k in set_points(plan) if unit_of(plan, k) == "MVAr"))
+        units = decided(plan.problem.arrays, plan.problem.devices)
+        wanted = list(dict.fromkeys([*ALWAYS, *units]))
+        reactive = (*ALWAYS[1::2], *(key for key, unit in units.items() if unit == "MVAr"))
         base = plan.problem.arrays.base_mva
         prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
         # a small value of stored energy keeps lossy storage from charging and discharging at once
