@@ -200,8 +200,7 @@ def test_text_and_empty_tables_mean_nothing_electrical(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("column", "value", "lost"),
     [
-        ("PC1", "5", True),
-        ("QC2MAX", "-3", True),
+        ("QC2MAX", "-3", False),  # PC1 = PC2: no curve
         ("RAMP_AGC", "2", True),
         ("RAMP_10", "7", True),
         ("RAMP_10", "Inf", False),

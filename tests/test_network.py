@@ -38,7 +38,13 @@ def test_quantities_are_in_per_unit(rich_grid: om.Network) -> None:
     assert arrays.load.bus.tolist() == [1, 3, 2]
     for table in arrays.tables.values():
         for field, unit in table.units.items():
-            shape = (len(arrays.generator.segment_owner), 1) if "segment" in field else (len(table), 1)
+            owner = {
+                "segment_slope": "segment",
+                "segment_offset": "segment",
+                "capability_limit": "capability",
+            }
+            rows = table.arrays[f"{owner[field]}_owner"] if field in owner else table.names
+            shape = (len(rows), 1)
             quantity = table.arrays[field].dtype.kind == "f"
             assert quantity or not unit
             assert table.arrays[field].shape == (shape if quantity else shape[:1]), field

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-__all__ = ["clipped", "fault_of", "half_planes", "inside_box"]
+__all__ = ["HalfPlane", "Point", "clipped", "fault_of", "half_planes", "inside_box"]
 
 Point = tuple[float, float]
 HalfPlane = tuple[float, float, float]

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from opfmodel.data.files import MB, read_text
 from opfmodel.errors import CaseError, listed
+from opfmodel.network.cases import capability
 
 __all__ = ["CaseFile", "read_case"]
 
@@ -42,8 +43,8 @@ COLUMNS = {
     }.items()
 }
 SCALARS = ("baseMVA", "version")
-# Columns of generators that a file may have after the required ones; only RAMP_30 is represented, and APF,
-# the share in an area's regulation, means nothing to a power flow or an optimum.
+# Columns of generators that a file may have after the required ones; capability curves and RAMP_30 are
+# represented, and APF, the share in an area's regulation, means nothing to a power flow or an optimum.
 _MORE_COLUMNS = "PC1 PC2 QC1MIN QC1MAX QC2MIN QC2MAX RAMP_AGC RAMP_10 RAMP_30 RAMP_Q APF"
 MORE_COLUMNS = tuple(_MORE_COLUMNS.split())
 HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel", "dclinecost"}
@@ -454,7 +455,7 @@ class _Checks:
         if "gencost" in self.tables:
             self._costs(self.tables["gencost"])
         if len(self.tables.get("gen", ())):
-            self._capabilities(self.tables["gen"])
+            self._more_columns(self.tables["gen"])
 
     def _columns(self, table: Table) -> None:
         """Check that all columns are present, and that bus numbers, types and states are integers."""
@@ -505,12 +506,12 @@ class _Checks:
             line = costs.lines[generators]
             self.case.losses.append(f"line {line}: mpc.gencost: costs of reactive power are not represented")
 
-    def _capabilities(self, units: Table) -> None:
+    def _more_columns(self, units: Table) -> None:
         """Report the columns of generators in service that are not represented and not zero."""
         fixed = len(COLUMNS["gen"])
         running = units.column("GEN_STATUS") > 0
         for number, column in enumerate(MORE_COLUMNS, start=fixed):
-            if column in ("RAMP_30", "APF") or number >= units.values.shape[1]:
+            if column in (*capability.COLUMNS, "RAMP_30", "APF") or number >= units.values.shape[1]:
                 continue
             values = units.values[:, number]
             rows = np.flatnonzero(running & (values != 0) & np.isfinite(values))

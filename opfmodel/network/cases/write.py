@@ -9,14 +9,17 @@ from typing import Any
 
 from opfmodel.data.writing import replace
 from opfmodel.errors import CaseError, listed
+from opfmodel.network.cases.capability import COLUMNS, Trapezoid, trapezoid_of
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
 __all__ = ["find_losses", "tables_of", "write_network"]
+
+_WRITTEN = (Bus, Branch, Generator, Storage, Load, Shunt)  # kinds that a case has
 
 
 def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> Path:
@@ -87,7 +90,7 @@ def tables_of(network: Network, ids: Mapping[str, int]) -> dict[str, Any]:
 def find_losses(network: Network, losses: Losses) -> None:
     """Report what a MATPOWER case cannot represent."""
     for kind in network.kinds():
-        if kind not in BUILT_IN:
+        if kind not in _WRITTEN and network.of(kind):
             losses.add(f"{kind.plural} {listed(network.of(kind))}: MATPOWER has no such equipment")
     if network.profiles:
         losses.add(f"{len(network.profiles)} time series: a case holds constant values")
@@ -104,6 +107,11 @@ def find_losses(network: Network, losses: Losses) -> None:
                 f"{name}: regulates = {str(generator.regulates).lower()}: "
                 "the generators at one bus all hold its voltage, or none does"
             )
+        if generator.capability is not None and _trapezoid(generator) is None:
+            losses.add(
+                f"{name}: capability: MATPOWER has one sloped line above and one below, which narrow towards "
+                "the maximum of active power; it is left out"
+            )
         if generator.participation is not None:
             losses.add(f"{name}: participation is left out")
 
@@ -112,17 +120,26 @@ def _losses_of(component: Component) -> Iterator[str]:
     for key in ("tap", "shift", "b"):
         if isinstance(getattr(component, key, None), tuple):
             yield f"{key} is adjustable; a case holds one value, that nearest to its default"
+    if isinstance(component, Branch):
+        yield from _losses_of_branch(component)
     if isinstance(component, Storage):
-        if component.standing_loss or component.energy_min:
-            yield "standing_loss and energy_min are left out"
-        if component.exclusive:
-            yield "exclusive is left out"
-    if not isinstance(component, Branch):
-        return
-    if component.g or component.g_from or component.g_to or component.b_from != component.b_to:
+        yield from _losses_of_storage(component)
+
+
+def _losses_of_branch(branch: Branch) -> Iterator[str]:
+    if branch.g or branch.g_from or branch.g_to or branch.b_from != branch.b_to:
         yield "MATPOWER has no branch shunt conductance or uneven charging; they are left out"
-    if component.emergency_rating == 0:
+    if branch.emergency_rating == 0:
         yield "emergency_rating = 0: MATPOWER's 0 means that none is stated"
+
+
+def _losses_of_storage(storage: Storage) -> Iterator[str]:
+    if storage.standing_loss or storage.energy_min:
+        yield "standing_loss and energy_min are left out"
+    if storage.exclusive:
+        yield "exclusive is left out"
+    if storage.capability is not None:
+        yield "capability is left out"
 
 
 def _regulated(network: Network) -> dict[str, bool]:
@@ -157,7 +174,8 @@ def _bus_rows(network: Network, ids: Mapping[str, int]) -> list[list[float]]:
 def _generator_row(
     generator: Generator, buses: Mapping[str, Bus], ids: Mapping[str, int], base_mva: float
 ) -> list[float]:
-    (p_min, p_max), (q_min, q_max) = generator.p, generator.q
+    curve = _trapezoid(generator) or Trapezoid(generator.p, generator.q, (0.0,) * len(COLUMNS))
+    (p_min, p_max), (q_min, q_max) = curve.p, curve.q
     ramp_30 = 0.0 if generator.ramp is None else generator.ramp / 2
     p, q, vm = (
         _set_point(stated, default, limits)
@@ -168,7 +186,14 @@ def _generator_row(
         )
     )
     row = [ids[generator.bus], p, q, q_max, q_min, vm, base_mva]
-    return [*row, float(generator.in_service), p_max, p_min, *[0.0] * 8, ramp_30, 0.0, 0.0]
+    return [*row, float(generator.in_service), p_max, p_min, *curve.columns, 0.0, 0.0, ramp_30, 0.0, 0.0]
+
+
+def _trapezoid(generator: Generator) -> Trapezoid | None:
+    """Return the capability curve of a generator in MATPOWER's form; None if it has none or no such form."""
+    if generator.capability is None:
+        return None
+    return trapezoid_of(generator.capability, generator.p, generator.q)
 
 
 def _set_point(stated: float | None, default: float, limits: tuple[float, float]) -> float:

@@ -31,15 +31,17 @@ UNMODELLED: Mapping[str, str] = {
 """Equipment that has no counterpart: a loss if it is in service."""
 
 _LIMITS = "min_p_mw max_p_mw min_q_mvar max_q_mvar"
+_CURVE = "reactive_capability_curve id_q_capability_characteristic curve_style"
 _BRANCH = "name in_service max_loading_percent"
 
 READ: Mapping[str, frozenset[str]] = {
     "bus": _columns("name vn_kv in_service min_vm_pu max_vm_pu"),
     "load": _columns(f"name bus p_mw q_mvar scaling in_service controllable {_LIMITS}"),
-    "sgen": _columns(f"name bus p_mw q_mvar scaling in_service controllable {_LIMITS}"),
+    "sgen": _columns(f"name bus p_mw q_mvar scaling in_service controllable {_LIMITS} {_CURVE}"),
     "gen": _columns(
-        f"name bus p_mw vm_pu scaling in_service controllable slack min_vm_pu max_vm_pu {_LIMITS}"
+        f"name bus p_mw vm_pu scaling in_service controllable slack min_vm_pu max_vm_pu {_LIMITS} {_CURVE}"
     ),
+    "q_capability_curve_table": _columns("id_q_capability_curve p_mw q_min_mvar q_max_mvar"),
     "ext_grid": _columns(f"name bus vm_pu va_degree in_service controllable {_LIMITS}"),
     "storage": _columns(
         f"name bus p_mw q_mvar scaling in_service controllable soc_percent min_e_mwh max_e_mwh {_LIMITS}"
@@ -90,8 +92,6 @@ CONVERTED: Mapping[str, frozenset[str]] = {
 
 REPORTED: Mapping[str, frozenset[str]] = {
     "load": _columns("const_z_p_percent const_i_p_percent const_z_q_percent const_i_q_percent"),
-    "sgen": _columns("reactive_capability_curve id_q_capability_characteristic curve_style"),
-    "gen": _columns("reactive_capability_curve id_q_capability_characteristic curve_style"),
     "poly_cost": _columns(
         "cq0_eur cq1_eur_per_mvar cq2_eur_per_mvar2 redispatch_up_eur_per_mw redispatch_down_eur_per_mw"
     ),

@@ -19,6 +19,7 @@ from opfmodel.network.cases.warn import warn
 from opfmodel.network.components import Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network
+from opfmodel.network.polygon import fault_of
 
 __all__ = ["Units"]
 
@@ -84,13 +85,15 @@ class Units:
         network.add(row.name, generator)
 
     def _generator(self, network: Network, row: Row) -> None:
-        self._report_capability(row)
         p = row.given("p_mw") * row.number("scaling", 1.0)
         controllable = self.source.controllable("gen", row)
+        limits = self._active_limits(row) if controllable else (p, p)
+        curve = self._capability(row, limits)
         generator = Generator(
             self.grid.at(row),
-            p=self._active_limits(row) if controllable else (p, p),
-            q=row.limits("q_mvar"),
+            p=limits,
+            q=row.limits("q_mvar") if curve is None else (-math.inf, math.inf),
+            capability=curve,
             cost=self.costs.of("gen", row),
             pg_set=p,
             vm_set=row.given("vm_pu"),
@@ -100,14 +103,17 @@ class Units:
         network.add(row.name, generator)
 
     def _static_generator(self, network: Network, row: Row) -> None:
-        self._report_capability(row)
         p, q = self._power(row)
         self._draw(row, -p, -q)
         controllable = self.source.controllable("sgen", row)
+        limits = self._active_limits(row) if controllable else (p, p)
+        curve = self._capability(row, limits) if controllable else None
+        within = row.limits("q_mvar") if curve is None else (-math.inf, math.inf)
         generator = Generator(
             self.grid.at(row),
-            p=self._active_limits(row) if controllable else (p, p),
-            q=row.limits("q_mvar") if controllable else (q, q),
+            p=limits,
+            q=within if controllable else (q, q),
+            capability=curve,
             cost=self.costs.of("sgen", row) if controllable else Polynomial(),
             pg_set=p,
             qg_set=q,
@@ -275,12 +281,37 @@ class Units:
                 f"load {row.name!r}: {', '.join(shares)}: its power depends on the voltage; it is constant"
             )
 
-    def _report_capability(self, row: Row) -> None:
-        if row.in_service and row.flag("reactive_capability_curve", False):
-            self.source.losses.add(
-                f"{row.table} {row.name!r}: reactive_capability_curve: its limits of reactive power depend "
-                "on its active power; min_q_mvar and max_q_mvar hold"
-            )
+    def _capability(self, row: Row, p: tuple[float, float]) -> tuple[tuple[float, float], ...] | None:
+        """Capability curve, which replaces the limits of reactive power; constant beyond its ends.
+
+        A curve that no convex polygon represents is a loss.
+        """
+        if not (row.in_service and row.flag("reactive_capability_curve", False)):
+            return None
+        number = row.number("id_q_capability_characteristic")
+        rows = [
+            [point.given(column) for column in ("p_mw", "q_min_mvar", "q_max_mvar")]
+            for point in self.source.rows("q_capability_curve_table")
+            if point.number("id_q_capability_curve") == number
+        ]
+        rows.sort()
+        if rows:
+            (first, last), (low, high) = (rows[0], rows[-1]), p
+            rows = [[low, *first[1:]]] * (-math.inf < low < first[0]) + rows
+            rows += [[high, *last[1:]]] * (math.inf > high > last[0])
+        corners = tuple((at, low) for at, low, _ in rows) + tuple((at, high) for at, _, high in rows[::-1])
+        if not rows:
+            why = "it has no points in q_capability_curve_table"
+        elif row.text("curve_style") != "straightLineYValues":
+            why = "only those of straight lines (curve_style = straightLineYValues) are represented"
+        elif len(corners) < 3 or fault_of(corners):
+            why = "only convex curves are represented"
+        else:
+            return corners
+        self.source.losses.add(
+            f"{row.table} {row.name!r}: reactive_capability_curve: {why}; min_q_mvar and max_q_mvar hold"
+        )
+        return None
 
     def _report_controllers(self) -> None:
         names = [

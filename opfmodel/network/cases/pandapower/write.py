@@ -85,19 +85,26 @@ def _unsupported(network: Network) -> Iterator[str]:
     ramping = [n for n, c in running.items() if isinstance(c, Generator) and c.ramp is not None]
     if ramping:
         yield f"ramps of {listed(ramping)}"
+    curved = [n for n, c in running.items() if isinstance(c, Generator) and c.capability is not None]
+    if curved:
+        yield f"capability curves of {listed(curved)}"
     stored = [n for n, c in running.items() if isinstance(c, Storage)]
     if stored:
         yield f"storages {listed(stored)}"
     found = Losses("")
     find_losses(network, found)
-    yield from (loss for loss in found if loss.partition(":")[0] not in stored)
+    yield from (loss for loss in found if loss.partition(":")[0] not in {*stored, *curved})
 
 
 def _converted(network: Network, path: Path) -> Any:
     from pandapower.converter.pypower.from_ppc import from_ppc
 
     names = list(network.of(Bus))
-    case = tables_of(network, {name: number for number, name in enumerate(names, start=1)})
+    plain = network.copy()
+    for name, unit in network.of(Generator).items():
+        if unit.capability is not None:
+            plain.update(name, capability=None)
+    case = tables_of(plain, {name: number for number, name in enumerate(names, start=1)})
     for row in case["bus"]:
         row[2:6] = [0.0] * 4  # loads and shunts follow one by one, with their names
     ppc = {

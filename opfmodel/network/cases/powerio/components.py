@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel.errors import CaseError, ComponentError, listed
+from opfmodel.network.cases.capability import COLUMNS, fault_of_columns, polygon_of
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.matpower import CaseFile
 from opfmodel.network.cases.warn import warn
@@ -152,6 +153,7 @@ class Reader:
                     qg_set=record["qg"],
                     vm_set=record["vg"] or None,
                     regulates=record["voltage_regulation_on"] and record["bus"] not in self.load_buses,
+                    capability=self._capability(name, row, record) if in_service else None,
                     in_service=in_service,
                 ),
                 "gen",
@@ -163,6 +165,23 @@ class Reader:
                 "(default_cost=Polynomial(0, 30, 0) in Python, --default-cost 30 on the command line, "
                 "network.default_cost in a scenario)"
             )
+
+    def _capability(
+        self, name: str, row: int, record: Mapping[str, Any]
+    ) -> tuple[tuple[float, float], ...] | None:
+        """Capability curve of a generator in service; raises an error unless it narrows towards PC2."""
+        columns = [float(value or 0.0) for value in record["caps"][: len(COLUMNS)]]
+        if len(columns) < len(COLUMNS) or columns[0] == columns[1]:  # then the others mean nothing
+            return None
+        column, rule = fault_of_columns(columns)
+        if column:
+            value = columns[COLUMNS.index(column)]
+            raise CaseError(f"{self._place('gen', row)}: {name}: {column} = {value:g}: {rule}")
+        p = record["pmin"], record["pmax"]
+        if not all(map(math.isfinite, p)):
+            self.losses.add(f"{name}: a capability curve with unlimited active power; it is left out")
+            return None
+        return polygon_of(columns, p, (record["qmin"], record["qmax"]))
 
     def _cost(self, name: str, row: int, record: Mapping[str, Any]) -> Cost:
         """Cost of a generator; raises an error unless the model is known and the data are complete."""

@@ -54,6 +54,7 @@ _ACCEPTED: Mapping[str, frozenset[str]] = {
     "switches": _words("closed pf qf pt qt"),
     "generators": _words(
         "energy_source pg qg pmax pmin qmax qmin vg mbase voltage_regulation_on caps.ramp_30 caps.apf "
+        "caps.pc1 caps.pc2 caps.qc1min caps.qc1max caps.qc2min caps.qc2max "
         "cost.model cost.startup cost.shutdown cost.ncost cost.coeffs"
     ),
     "storage": _words(
