@@ -26,6 +26,8 @@ import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
 from opfmodel.network.cases.pandapower import tables
 from opfmodel.network.cases.pandapower.source import Source, element_names
+from opfmodel.network.cases.pandapower.write import write_pandapower
+from opfmodel.network.polygon import inside_box
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 logging.getLogger("pandapower").setLevel(logging.CRITICAL)
@@ -652,7 +654,7 @@ def add_dc_grid(net: Any) -> None:
         (add_asymmetric_impedance, "impedance 'impedance0': rtf_pu and xtf_pu differ"),
         (add_second_external_grid, "ext_grid 'ext_grid1': holds the angle of its bus, as 'ext_grid0'"),
         (lambda net: pp.create_asymmetric_load(net, 1, 1, 2, 3), "asymmetric_load 'asymmetric_load0': its phases"),
-        (lambda net: pp.create_sgen(net, 1, 1, reactive_capability_curve=True), "sgen 'sgen0': reactive_capab"),
+        (lambda net: pp.create_sgen(net, 1, 1, controllable=True, reactive_capability_curve=True), "sgen 'sgen0': reactive_capab"),
         (lambda net: net.poly_cost.__setitem__("cq1_eur_per_mvar", 1.0), "poly_cost 0: a cost of reactive power"),
         (lambda net: pp.create_pwl_cost(net, 0, "ext_grid", [[0, 1, 1]], power_type="q", check=False), "pwl_cost 0: a cost of rea"),
         (lambda net: net.poly_cost.__setitem__("redispatch_up_eur_per_mw", 9.0), "poly_cost 0: a cost of redispatch"),
@@ -910,3 +912,40 @@ def test_without_pandapower_a_corrupt_file_is_refused(
     monkeypatch.setitem(sys.modules, "pandapower", None)
     with pytest.raises(CaseError, match=r"grid\.json: not a JSON file of pandapower"):
         om.read_network(path)
+
+
+def test_curves_of_pandapower(tmp_path: Path) -> None:
+    import pandas as pd
+    from pandapower.control.util.auxiliary import create_q_capability_characteristics_object
+
+    net = pp.create_empty_network()
+    buses = [pp.create_bus(net, 110) for _ in range(2)]
+    pp.create_ext_grid(net, buses[0])
+    pp.create_line(net, *buses, 10, "149-AL1/24-ST1A 110.0")
+    pp.create_load(net, buses[1], 30, 10)
+    unit = pp.create_gen(
+        net, buses[1], 20, vm_pu=1, min_p_mw=-5, max_p_mw=50, min_q_mvar=-99, max_q_mvar=99,
+        reactive_capability_curve=True, id_q_capability_characteristic=0, curve_style="straightLineYValues",
+    )  # fmt: skip
+    points = {"p_mw": [-5.0, 30, 50], "q_min_mvar": [-20.0, -20, -5], "q_max_mvar": [20.0, 25, 8]}
+    net["q_capability_curve_table"] = pd.DataFrame({"id_q_capability_curve": [0] * 3, **points})
+    create_q_capability_characteristics_object(net)
+    pp.create_poly_cost(net, 0, "ext_grid", 20)
+    pp.create_poly_cost(net, unit, "gen", 10)
+    network = om.from_pandapower(net)
+    curve = network["gen0"].capability
+    low, high = net.q_capability_characteristic.iloc[0][["q_min_characteristic", "q_max_characteristic"]]
+    for p in (-5, 5, 10, 22, 37, 49):
+        q = [y for _, y in inside_box(curve, (p - 1e-9, p + 1e-9), (-99, 99))]
+        assert (min(q), max(q)) == pytest.approx((float(low(p)), float(high(p))), abs=1e-6)
+    assert om.MultiStage(network).solve().optimal
+    net.q_capability_curve_table.loc[1, "q_max_mvar"] = 10.0  # a notch
+    with pytest.raises(CaseError, match="gen 'gen0': reactive_capability_curve: only convex curves"):
+        om.from_pandapower(net)
+    with pytest.warns(CaseWarning, match="only convex curves"):
+        assert om.from_pandapower(net, lossy=True)["gen0"].q == (-99, 99)
+    net.gen["curve_style"] = "constantYValue"
+    with pytest.raises(CaseError, match="only those of straight lines"):
+        om.from_pandapower(net)
+    with pytest.raises(CaseError, match="capability curves of gen0"):
+        write_pandapower(network, tmp_path / "x.json", lossy=False)

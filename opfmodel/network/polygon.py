@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate
 
 __all__ = ["HalfPlane", "Point", "clipped", "fault_of", "half_planes", "inside_box"]
 
@@ -24,13 +25,16 @@ def fault_of(points: Sequence[Point]) -> str:
     if len(corners) < 3 or abs(_area(corners)) <= _FLAT * extent**2:
         return "must enclose an area"
     side = math.copysign(1.0, _area(corners))
-    turned = 0.0
+    turns = []
     for before, at, after in zip([corners[-1], *corners], corners, [*corners[1:], corners[0]], strict=False):
         one, other = _step(before, at), _step(at, after)
-        turn = math.atan2(side * _cross(one, other), one[0] * other[0] + one[1] * other[1])
-        turned += turn
-        if turn < -_STRAIGHT or turn > math.pi - _STRAIGHT or turned > 2 * math.pi + 1e-6:
-            return f"must be convex, with its points in order round it: point ({at[0]:g}, {at[1]:g}) is not"
+        turns.append(math.atan2(side * _cross(one, other), one[0] * other[0] + one[1] * other[1]))
+    wrong = [turn < -_STRAIGHT or turn > math.pi - _STRAIGHT for turn in turns]
+    if not any(wrong):
+        wrong = [so_far > 2 * math.pi + 1e-6 for so_far in accumulate(turns)]  # goes round more than once
+    if any(wrong):
+        x, y = corners[wrong.index(True)]
+        return f"must be convex, with its points in order round it: point ({x:g}, {y:g}) is not"
     return ""
 
 

@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["CONVERTED", "ELEMENTS", "IGNORED", "KNOWN", "READ", "REPORTED", "TABLES_IGNORED", "UNMODELLED"]
+__all__ = [
+    "CONVERTED",
+    "CURVES",
+    "ELEMENTS",
+    "IGNORED",
+    "KNOWN",
+    "READ",
+    "REPORTED",
+    "TABLES_IGNORED",
+    "UNMODELLED",
+]
 
 
 def _columns(text: str) -> frozenset[str]:
@@ -41,7 +51,6 @@ READ: Mapping[str, frozenset[str]] = {
     "gen": _columns(
         f"name bus p_mw vm_pu scaling in_service controllable slack min_vm_pu max_vm_pu {_LIMITS} {_CURVE}"
     ),
-    "q_capability_curve_table": _columns("id_q_capability_curve p_mw q_min_mvar q_max_mvar"),
     "ext_grid": _columns(f"name bus vm_pu va_degree in_service controllable {_LIMITS}"),
     "storage": _columns(
         f"name bus p_mw q_mvar scaling in_service controllable soc_percent min_e_mwh max_e_mwh {_LIMITS}"
@@ -140,5 +149,8 @@ ELEMENTS = (
 )  # fmt: skip
 """Tables whose rows have names."""
 
-KNOWN = frozenset({*ELEMENTS, *READ, *REPORTED, *TABLES_IGNORED})
+CURVES = "q_capability_curve_table"
+"""Table of capability curves, which an empty network does not have."""
+
+KNOWN = frozenset({*ELEMENTS, *READ, *REPORTED, *TABLES_IGNORED, CURVES})
 """All tables that this version knows."""

@@ -15,6 +15,7 @@ from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.pandapower.costs import Costs
 from opfmodel.network.cases.pandapower.grid import Grid
 from opfmodel.network.cases.pandapower.source import Row, Source
+from opfmodel.network.cases.pandapower.tables import CURVES
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.components import Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Polynomial
@@ -291,7 +292,7 @@ class Units:
         number = row.number("id_q_capability_characteristic")
         rows = [
             [point.given(column) for column in ("p_mw", "q_min_mvar", "q_max_mvar")]
-            for point in self.source.rows("q_capability_curve_table")
+            for point in self.source.rows(CURVES)
             if point.number("id_q_capability_curve") == number
         ]
         rows.sort()
@@ -301,7 +302,7 @@ class Units:
             rows += [[high, *last[1:]]] * (math.inf > high > last[0])
         corners = tuple((at, low) for at, low, _ in rows) + tuple((at, high) for at, _, high in rows[::-1])
         if not rows:
-            why = "it has no points in q_capability_curve_table"
+            why = f"it has no points in {CURVES}"
         elif row.text("curve_style") != "straightLineYValues":
             why = "only those of straight lines (curve_style = straightLineYValues) are represented"
         elif len(corners) < 3 or fault_of(corners):
