@@ -1,7 +1,17 @@
 """Public import path of the components of :mod:`opfmodel.network`, for devices from other packages."""
 
 from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator, Load, Renewable, Shunt, Storage
+from opfmodel.network.components import (
+    BUILT_IN,
+    Branch,
+    Bus,
+    FlexibleLoad,
+    Generator,
+    Load,
+    Renewable,
+    Shunt,
+    Storage,
+)
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import TableField, at_bus, flag, in_service, number, span
 from opfmodel.network.network import Network, name_pattern
@@ -12,6 +22,7 @@ __all__ = [
     "Bus",
     "Component",
     "Cost",
+    "FlexibleLoad",
     "Generator",
     "Load",
     "Network",

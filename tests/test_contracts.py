@@ -75,7 +75,11 @@ def example(kind: str) -> Component:
         corners = ((-2, -0.5), (0, -1), (2, -0.5), (2, 1), (-2, 1))
         return om.Storage("x", energy=10, power=2, q=1, rating=2, capability=corners, **lossy)
     if kind == "load":
-        return om.Load("x", p=3, q=1)
+        return om.Load("x", p=3, q=1, shed_cost=40)
+    if kind == "flexible_load":
+        return om.FlexibleLoad(
+            "x", energy=2, power=(0, 2), hours=1, every=3, efficiency=0.9, power_factor=0.95, unserved_cost=50
+        )
     if kind == "renewable":
         corners = ((0, -2), (4, -2), (4, 1), (2, 2), (0, 2))
         return om.Renewable(

@@ -10,11 +10,11 @@ import opfmodel
 
 PATHS = {
     "opfmodel.components": (
-        "BUILT_IN Branch Bus Component Cost Generator Load Network PiecewiseLinear Polynomial Renewable Shunt "
-        "Storage at_bus flag number span"
+        "BUILT_IN Branch Bus Component Cost FlexibleLoad Generator Load Network PiecewiseLinear Polynomial "
+        "Renewable Shunt Storage at_bus flag number span"
     ),
     "opfmodel.network": (
-        "Array Branch Bus Component Cost Generator Index Load Network PerUnitNetwork PiecewiseLinear "
+        "Array Branch Bus Component Cost FlexibleLoad Generator Index Load Network PerUnitNetwork PiecewiseLinear "
         "Polynomial Renewable Shunt Storage Table at_bus flag number per_unit read_network span write_network"
     ),
     "opfmodel.model": (

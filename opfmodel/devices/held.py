@@ -7,12 +7,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.devices.flexible_load import reactive_share
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
-from opfmodel.network.components import Generator, Renewable, Storage
+from opfmodel.network.components import FlexibleLoad, Generator, Load, Renewable, Storage
 from opfmodel.network.shares import WIDE, divide
 
-__all__ = ["HeldGenerators", "HeldRenewables", "HeldStorages", "without_limits"]
+__all__ = [
+    "HeldFlexibleLoads",
+    "HeldGenerators",
+    "HeldLoads",
+    "HeldRenewables",
+    "HeldStorages",
+    "without_limits",
+]
 
 
 class HeldGenerators(Device):
@@ -83,6 +91,30 @@ class HeldRenewables(Device):
         text = "reactive power of renewables"
         model.publish("renewable", "renewable_q", q, unit="MVAr", description=text)
         model.inject(table.bus, p=p, q=q)
+
+
+class HeldLoads(Device):
+    """Loads that are served in full."""
+
+    component = Load
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Withdraw the demand from its bus."""
+        model.inject(table.bus, p=-model.parameter("load", "p"), q=-model.parameter("load", "q"))
+
+
+class HeldFlexibleLoads(Device):
+    """Flexible loads at their set-points."""
+
+    component = FlexibleLoad
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Publish ``flexible_load_p`` and ``flexible_load_q`` as set."""
+        p = model.parameter("flexible_load", "flexible_load_p_set")
+        q = p * reactive_share(table)
+        model.publish("flexible_load", "flexible_load_p", p, unit="MW", description="power drawn")
+        model.publish("flexible_load", "flexible_load_q", q, unit="MVAr", description="reactive power drawn")
+        model.inject(table.bus, p=-p, q=-q)
 
 
 def _left(model: Model, what: str, shares: Array, group: Index) -> Any:

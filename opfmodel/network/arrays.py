@@ -421,7 +421,7 @@ def _table(
         elif form == "points":
             arrays |= _polygon_arrays(key, values, factor)
             units |= {f"{key}_{part}": unit for part in ("limit", "p_min", "p_max", "q_min", "q_max")}
-    arrays |= {name: np.zeros((len(members), 1)) for name in kind.clocked}
+    arrays |= {name: np.full((len(members), 1), known.loosest) for name, known in kind.clocked.items()}
     if kind.lost:
         arrays["status"] = np.ones((len(members), 1))
     for array in arrays.values():

@@ -83,10 +83,13 @@ class Clocked(NamedTuple):
         Its physical unit.
     over
         Its value over a stage of several steps: ``mean``, ``min`` or ``max``.
+    loosest
+        The value with which programs are built, before it is known; of a limit, the loosest.
     """
 
     unit: str
     over: str = "mean"
+    loosest: float = 0.0
 
 
 class Component:
@@ -182,6 +185,17 @@ class Component:
             The beginnings of the steps; its ``clock`` has the local times in hours.
         """
         return {}
+
+    def check_clock(self, name: str, times: Times, lengths: npt.NDArray[np.intp]) -> None:
+        """Raise :class:`IncompatibleError` if stages cannot represent what follows from the clock.
+
+        Parameters
+        ----------
+        times
+            The beginnings of the stages.
+        lengths
+            Number of steps of each stage.
+        """
 
     def resolved(self) -> Self:
         """Return the component with defaults that depend on other fields filled in."""

@@ -18,6 +18,7 @@ from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
 __all__ = [
+    "check_clocked",
     "check_finite",
     "check_series",
     "clocked",
@@ -207,6 +208,21 @@ def clocked(network: Network, arrays: PerUnitNetwork, times: Times) -> Fields:
         values = [network[name].resolved().at_clock(times)[field] for name in table.names]
         out[kind, field] = np.array(values) / scale(table.units[field], arrays.base_mva)
     return out
+
+
+def check_clocked(
+    network: Network, arrays: PerUnitNetwork, times: Times, lengths: npt.NDArray[np.intp]
+) -> None:
+    """Raise :class:`IncompatibleError` if stages cannot represent what follows from the clock.
+
+    Parameters
+    ----------
+    times, lengths
+        The beginning of each stage, and its number of steps.
+    """
+    for table in arrays.tables.values():
+        for name in table.names if table.kind.clocked else ():
+            network[name].resolved().check_clock(name, times, lengths)
 
 
 def clocked_fields(arrays: PerUnitNetwork) -> list[tuple[str, str]]:

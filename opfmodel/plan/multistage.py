@@ -25,7 +25,7 @@ from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Publ
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
-from opfmodel.network.series import check_series, clocked, window
+from opfmodel.network.series import check_clocked, check_series, clocked, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.compiled import Compiled, compiled, declared
@@ -535,6 +535,7 @@ class MultiStage:
     def ahead(self, time: int) -> Fields:
         """Return the data at the nodes of the plan from a step on, ``(items, nodes)`` per unit."""
         horizon = self.horizon_from(time)
+        check_clocked(self.network, self.arrays, self.times(time, horizon), horizon.lengths)
         return over_nodes([self._series(time, horizon.steps)], horizon, self.arrays)
 
     def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None) -> Fields:

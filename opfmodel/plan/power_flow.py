@@ -9,8 +9,14 @@ import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
-from opfmodel.devices.held import HeldGenerators, HeldRenewables, HeldStorages, without_limits
-from opfmodel.devices.load import LoadDevice
+from opfmodel.devices.held import (
+    HeldFlexibleLoads,
+    HeldGenerators,
+    HeldLoads,
+    HeldRenewables,
+    HeldStorages,
+    without_limits,
+)
 from opfmodel.errors import ModelError
 from opfmodel.formulations.ac import AC
 from opfmodel.horizon import Horizon
@@ -142,8 +148,9 @@ class _Flow:
         devices: list[Device] = [
             HeldGenerators(shares, points.regulates),
             HeldStorages(),
+            HeldLoads(),
             *([HeldRenewables()] if len(points.network.renewable) else []),
-            LoadDevice(),
+            *([HeldFlexibleLoads()] if len(points.network.tables["flexible_load"]) else []),
         ]
         for device in devices:
             model.connect(device)

@@ -177,7 +177,7 @@ class Security:
         ]  # fmt: skip
         for name, published in decided:
             kind, block = published.kind, model.build.variables[name]
-            moves = (block.spread(block.lower) < block.spread(block.upper)).any(axis=1)
+            moves = (block.spread(block.lower) < block.spread(block.upper))[:, nodes].any(axis=1)
             kept = np.flatnonzero(np.asarray(moves))
             if name == "qg" or not kept.size:
                 continue

@@ -96,7 +96,12 @@ class Held:
         network = self.network
         total = network.at_buses("generator", network.generator.pg_set)
         total = total + network.at_buses("renewable", network.renewable.p_set)
-        for kind, field in (("load", "p"), ("storage", "ps_set"), ("shunt", "g")):
+        for kind, field in (
+            ("load", "p"),
+            ("storage", "ps_set"),
+            ("flexible_load", "flexible_load_p_set"),
+            ("shunt", "g"),
+        ):
             total = total - network.at_buses(kind, network.tables[kind].arrays[field])
         lacking = -np.bincount(network.island, total[:, 0])
         total[:, 0] += network.at_buses("generator", shares * lacking[network.island[network.generator.bus]])
@@ -127,6 +132,7 @@ def held(network: PerUnitNetwork) -> Held:
             ("storage", "qs_set"): _or_zero(network.storage.qs_set),
             ("renewable", "p_set"): _uncurtailed(units),
             ("renewable", "q_set"): np.clip(0.0, units.q_min, units.q_max),
+            ("flexible_load", "flexible_load_p_set"): _or_zero(network.tables["flexible_load"].p_set),
         }
     )
     return Held(ready, regulates, reference, at, vm, network.bus.va_set[reference, 0], tuple(notes))

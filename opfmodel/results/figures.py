@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["FIGURES", "buses", "demand", "figure_paths", "paper", "save_figures", "system", "write_figures"]
 
 _DEFAULT = ("system", "demand", "buses")
+# what demand is made of besides that of loads which are served
+_PARTS = (("load_shed", "shed demand", ":"), ("flexible_load_p", "flexible demand", "--"))
 _FORMATS: dict[str, dict[str, Any]] = {"pdf": {}, "png": {"dpi": 200, "pil_kwargs": {"compress_level": 9}}}
 
 
@@ -47,6 +49,9 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     if "renewable_p" in data:
         renewable = total(data, "renewable_p")
         draw_steps(power, data, renewable, label="of which renewable", color=COLOURS[2], linestyle=":")
+    for quantity, label, style in _PARTS:
+        if quantity in data:
+            draw_steps(power, data, total(data, quantity), label=label, color=COLOURS[5], linestyle=style)
     power.set_ylabel("power [MW]")
     if stored:
         draw_steps(rest, data, charging, label="storage (charging > 0)", color=COLOURS[1], linestyle="--")
@@ -74,7 +79,10 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
 
 
 def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
-    """Plot active (solid) and reactive (dashed) demand of some buses, and the total active demand."""
+    """Plot active (solid) and reactive (dashed) demand of some buses, and the total active demand.
+
+    Demand is what is served and what is shed; flexible demand comes on top of it.
+    """
     figure, axes = column(2)
     for bus, colour in colour_of(chosen(data, names)).items():
         draw_steps(axes[0], data, data["pd"].sel(bus=bus).values, label=f"bus {bus}", color=colour)
@@ -82,6 +90,9 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     draw_key(axes[0])
     axes[0].set_ylabel("demand [MW], [MVAr]")
     draw_steps(axes[1], data, total(data, "pd"), label="all buses", color=COLOURS[6], linestyle="-.")
+    for quantity, label, style in _PARTS:
+        if quantity in data:
+            draw_steps(axes[1], data, total(data, quantity), label=label, color=COLOURS[5], linestyle=style)
     axes[1].set_ylabel("total demand [MW]")
     finish(figure, data)
     return figure

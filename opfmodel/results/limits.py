@@ -64,6 +64,13 @@ LIMITS = {
         lambda t: np.maximum(t.q_min, -t.rating),
         lambda t: np.minimum(t.q_max, t.rating),
     ),
+    "flexible_load_p": Limit(
+        "flexible_load",
+        "MW",
+        "power drawn",
+        lambda t: t.power_min * t.inside,
+        lambda t: t.power_max * t.inside,
+    ),
     "e": Limit("storage", "MWh", "stored energy", lambda t: t.energy_min, lambda t: t.energy),
 }
 """Quantities whose limits a dataset has as ``<quantity>_min`` and ``<quantity>_max``."""

@@ -37,6 +37,8 @@ DESCRIBED = {
     "ps_redispatch": ("MW", "absolute deviation of charging power from its set-point"),
     "renewable_p_redispatch": ("MW", "absolute deviation of renewable generation from its set-point"),
     "pg_curtailed": ("MW", "available power not generated"),
+    "load_shed": ("MW", "active demand shed at a cost"),
+    "load_shed_q": ("MVAr", "reactive demand shed with it"),
     "p_unserved": ("MW", "unserved active demand"),
     "q_unserved": ("MVAr", "unserved reactive demand"),
     "p_shortage": ("MW", "unserved active balance (slack injection)"),
@@ -119,7 +121,7 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
     curtailed = [name for name in named if name.endswith(_CURTAILED)]
     for key, names in (
         ("redispatched_mwh", [f"{name}_redispatch" for _, name, _ in _POWERS]),
-        ("shed_mwh", ("p_unserved", "p_shortage")),
+        ("shed_mwh", ("load_shed", "p_unserved", "p_shortage")),
         ("curtailed_mwh", (*curtailed, "p_surplus")),
     ):
         present = [named[name] for name in names if name in named]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.flexible_loads import FlexibleLoads
 from opfmodel.check.equipment.generators import Generators
 from opfmodel.check.equipment.loads import Loads
 from opfmodel.check.equipment.renewables import Renewables
@@ -12,4 +13,12 @@ from opfmodel.check.equipment.storages import Storages
 
 __all__ = ["EQUIPMENT", "Equipment"]
 
-EQUIPMENT: tuple[type[Equipment], ...] = (Branches, Generators, Storages, Renewables, Loads, Shunts)
+EQUIPMENT: tuple[type[Equipment], ...] = (
+    Branches,
+    Generators,
+    Storages,
+    Renewables,
+    Loads,
+    FlexibleLoads,
+    Shunts,
+)

@@ -13,7 +13,7 @@ from opfmodel.network.cases.capability import COLUMNS, Trapezoid, trapezoid_of
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, FlexibleLoad, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
@@ -94,9 +94,8 @@ def find_losses(network: Network, losses: Losses) -> None:
             losses.add(f"{kind.plural} {listed(network.of(kind))}: MATPOWER has no such equipment")
     if network.profiles:
         losses.add(f"{len(network.profiles)} time series: a case holds constant values")
-    idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
-    if idle:
-        losses.add(f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out")
+    for loss in _losses_of_demand(network):
+        losses.add(loss)
     for name in network:
         for loss in _losses_of(network[name]):
             losses.add(f"{name}: {loss}")
@@ -114,6 +113,18 @@ def find_losses(network: Network, losses: Losses) -> None:
             )
         if generator.participation is not None:
             losses.add(f"{name}: participation is left out")
+
+
+def _losses_of_demand(network: Network) -> Iterator[str]:
+    idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
+    if idle:
+        yield f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out"
+    flexible = [name for name, load in network.of(FlexibleLoad).items() if load.in_service]
+    if flexible:
+        yield f"flexible loads {listed(flexible)}: MATPOWER has no such equipment"
+    for name, load in network.of(Load).items():
+        if load.in_service and load.shed_cost is not None:
+            yield f"{name}: shed_cost is left out"
 
 
 def _losses_of(component: Component) -> Iterator[str]:

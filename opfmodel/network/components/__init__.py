@@ -9,13 +9,22 @@ from __future__ import annotations
 from opfmodel.network.component import Component
 from opfmodel.network.components.branch import Branch
 from opfmodel.network.components.bus import Bus
+from opfmodel.network.components.flexible_load import FlexibleLoad
 from opfmodel.network.components.generator import Generator
 from opfmodel.network.components.load import Load
 from opfmodel.network.components.renewable import Renewable
 from opfmodel.network.components.shunt import Shunt
 from opfmodel.network.components.storage import Storage
 
-__all__ = ["BUILT_IN", "Branch", "Bus", "Generator", "Load", "Renewable", "Shunt", "Storage"]
-
-BUILT_IN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt, Renewable)
+__all__ = ["BUILT_IN", "Branch", "Bus", "FlexibleLoad", "Generator", "Load", "Renewable", "Shunt", "Storage"]
+BUILT_IN: tuple[type[Component], ...] = (
+    Bus,
+    Branch,
+    Generator,
+    Storage,
+    Load,
+    FlexibleLoad,
+    Shunt,
+    Renewable,
+)
 """Kinds of this package; devices from other packages define their own."""

@@ -6,21 +6,30 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from opfmodel.devices.held import HeldGenerators, HeldStorages, without_limits
+from opfmodel.devices.held import HeldFlexibleLoads, HeldGenerators, HeldStorages, without_limits
+from opfmodel.devices.load import per_active_power, sheddable
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
-from opfmodel.network.components import Generator, Load, Storage
+from opfmodel.network.components import FlexibleLoad, Generator, Load, Storage
 from opfmodel.network.shares import WIDE, divide
 from opfmodel.plan import MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
-from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, decided, one_stage
+from opfmodel.simulation.plants.problem import (
+    ALWAYS,
+    SHED,
+    ACPlant,
+    SetPoints,
+    decided,
+    one_stage,
+)
 from opfmodel.simulation.records import DESCRIBED
 
 __all__ = ["PowerFlow"]
 
 _SHARE = ("load", "unserved")
+_HELD = (*ALWAYS, _SHARE, SHED, ("flexible_load", "flexible_load_p"))
 _LEAST_VM, _MOST_VM = 0.2, 2.0  # p.u.; wider than any operating range, but bounds Newton steps
 
 
@@ -36,7 +45,7 @@ class PowerFlow(ACPlant):
     Buses with generators hold the voltage magnitude of the plan or, if the plan has none,
     1 p.u. clipped to the limits of the bus. The generators of a bus share its reactive power in
     proportion to their ranges. Storages hold ``ps`` and ``qs``, zero if the plan has none. A set-point
-    above the available power is reduced to it.
+    above the available power is reduced to it. Of each load the same share is shed as in the plan.
 
     Parameters
     ----------
@@ -81,11 +90,12 @@ class PowerFlow(ACPlant):
             Generator: HeldGenerators(self.shares(problem.arrays)),
             Storage: HeldStorages(),
             Load: _HeldLoads(),
+            FlexibleLoad: HeldFlexibleLoads(),
         }
         devices = [own.get(device.component, device) for device in problem.devices]
         deciding = [device for device in problem.devices if device.component not in own]
-        others = [*decided(problem.arrays, deciding)]
-        prices = dict.fromkeys((*ALWAYS, _SHARE), 0.0) | dict.fromkeys(others, 1.0)
+        others = [key for key in decided(problem.arrays, deciding) if key not in _HELD]
+        prices = dict.fromkeys(_HELD, 0.0) | dict.fromkeys(others, 1.0)
         self._set_points = SetPoints(prices, _without_limits(problem.arrays))
         return one_stage(problem, self._set_points, devices, outages=self.outages.components)
 
@@ -106,18 +116,29 @@ class PowerFlow(ACPlant):
 
 
 class _HeldLoads(Device):
-    """Loads, less the share that the plan sheds."""
+    """Loads, less what the plan sheds."""
 
     component = Load
 
     def declare(self, model: Model, table: Table) -> None:
-        """Withdraw the served demand and publish the unserved."""
+        """Withdraw the served demand, and publish what is shed and what is unserved."""
+        if sheddable(table).size:
+            self._shed(model, table)
         share = model.parameter(_SHARE[0], f"{_SHARE[1]}_set")
         for name, power in (("p", model.parameter("load", "p")), ("q", model.parameter("load", "q"))):
             unit, text = DESCRIBED[f"{name}_unserved"]
             model.publish("load", f"{name}_unserved", power * share, unit=unit, description=text)
             served = power * share - power
             model.inject(table.bus, **{name: served})
+
+    @staticmethod
+    def _shed(model: Model, table: Table) -> None:
+        active = model.parameter(SHED[0], f"{SHED[1]}_set")
+        reactive = model.of_fields("load", "load reactive share", per_active_power) * active
+        for name, power in (("load_shed", active), ("load_shed_q", reactive)):
+            unit, text = DESCRIBED[name]
+            model.publish("load", name, power, unit=unit, description=text)
+        model.inject(table.bus, p=active, q=reactive)
 
 
 def _without_limits(network: PerUnitNetwork) -> Values:

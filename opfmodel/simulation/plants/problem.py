@@ -21,10 +21,11 @@ from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
 
-__all__ = ["ALWAYS", "ACPlant", "SetPoints", "decided", "one_stage"]
+__all__ = ["ALWAYS", "SHED", "ACPlant", "SetPoints", "decided", "one_stage"]
 
 _NETWORK = ("bus", "branch")
 ALWAYS = (("generator", "pg"), ("generator", "qg"), ("storage", "ps"), ("storage", "qs"))
+SHED = ("load", "load_shed")
 _PRECISE = {"tol": 1e-8, "constr_viol_tol": 1e-8}
 
 
@@ -79,7 +80,7 @@ class ACPlant(Plant):
             for key, value in plan.quantities().items()
             if key[0] not in _NETWORK or key in moves
         }
-        wanted = _without(self.aims(plan, planned), network)
+        wanted = _of_demand(_without(self.aims(plan, planned), network), plan, network)
         aims = _with_energy(wanted, planned, network, plan.problem.step)
         found = self.find(plan, aims, network)
         values = self._values(aims, found)
@@ -169,6 +170,16 @@ def _without(aims: Values, network: PerUnitNetwork) -> Values:
         if (kind, name) in made and not status.all():
             made[kind, name] = made[kind, name] * status
     return made
+
+
+def _of_demand(aims: Values, plan: Plan, network: PerUnitNetwork) -> Values:
+    """Return the set-points, with shed demand as the planned share of the realised demand."""
+    if SHED not in aims:
+        return aims
+    expected, realised = plan.network.load.p[:, 0], np.maximum(network.load.p[:, 0], 0.0)
+    shed = np.minimum(aims[SHED], np.maximum(expected, 0.0))
+    scaled = np.divide(shed * realised, expected, out=np.zeros_like(shed), where=expected > 0)
+    return aims | {SHED: scaled}
 
 
 def _with_energy(aims: Values, planned: Values, network: PerUnitNetwork, step: float) -> Values:

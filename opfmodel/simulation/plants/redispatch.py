@@ -13,7 +13,14 @@ from opfmodel.network.quantities import In
 from opfmodel.network.series import widest
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
-from opfmodel.simulation.plants.problem import ALWAYS, ACPlant, SetPoints, decided, one_stage
+from opfmodel.simulation.plants.problem import (
+    ALWAYS,
+    SHED,
+    ACPlant,
+    SetPoints,
+    decided,
+    one_stage,
+)
 
 __all__ = ["Redispatch"]
 
@@ -26,7 +33,8 @@ class Redispatch(ACPlant):
              + \pi_q \sum |q^g - \hat q^g| + \pi_q \sum |q^s - \hat q^s| + \text{elastic terms}
 
     Reactive set-points that a plan lacks are zero. Demand may be shed and limits exceeded at the
-    prices of an elastic problem, so every plan has a response.
+    prices of an elastic problem, so every plan has a response. Of each load the same share is shed as in the
+    plan; to shed less or more of it costs as much as unserved demand.
 
     Parameters
     ----------
@@ -57,6 +65,8 @@ class Redispatch(ACPlant):
         reactive = (*ALWAYS[1::2], *(key for key, unit in units.items() if unit == "MVAr"))
         base = plan.problem.arrays.base_mva
         prices = {key: base * (self.reactive_price if key in reactive else self.price) for key in wanted}
+        if SHED in prices:  # less or more of it is no easier than other demand that is unserved
+            prices[SHED] = base * self.elastic.shedding
         # a small value of stored energy keeps lossy storage from charging and discharging at once
         end = End(price=0.01 * self.price)
         names = self.outages.components
