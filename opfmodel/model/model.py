@@ -214,12 +214,13 @@ class Model:
         if publish:
             self._name(name)
         table = self.network.tables[kind]
-        low, high = (resolved(table, bound) for bound in (lower, upper))
+        source = BoundSource(kind, lower, upper, nodes)
+        low, high = source.resolve(table)
         if start is None:
             start = _middle(low, high)
         if soft is None or self.elastic is None:
             values = self.build.variable(name, len(table), self._columns(nodes), low, high, start)
-            self.bounds[name] = BoundSource(kind, lower, upper, nodes)
+            self.bounds[name] = source
         else:
             least = np.where(low >= 0.0, 0.0, -np.inf)
             values = self.build.variable(name, len(table), self._columns(nodes), least, np.inf, start)

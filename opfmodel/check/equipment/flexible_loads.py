@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from opfmodel.check.equipment.base import Equipment
 from opfmodel.check.trajectories import Array, Complex, Trajectories
+from opfmodel.data.series import SeriesKey
 from opfmodel.network.components import FlexibleLoad
 
 __all__ = ["FlexibleLoads"]
@@ -52,12 +53,16 @@ class FlexibleLoads(Equipment):
         checker.note("flexible load dynamics", loads.names, np.abs(received), "MW")
         checker.inside("flexible load energy", loads, end, (0.0 * energy, energy), "MWh")
         firm = np.isinf(loads.constant("unserved_cost"))
-        most = high.max(axis=1, keepdims=True)
-        reachable = np.where(
-            inside, np.maximum(energy - gain * np.maximum(most, loads.span("power")[1]) * left, 0), 0
-        )
+        pairs = zip(loads.names, loads.members, strict=True)
+        most = np.array([self._most_power(name, load) for name, load in pairs])
+        reachable = np.where(inside, np.maximum(energy - gain * most[:, None] * left, 0.0), 0.0)
         wanted = np.where(closes, energy, reachable)
         checker.note("flexible load due", loads.names, np.where(firm, wanted - end, -energy), "MWh")
+
+    def _most_power(self, name: str, load: FlexibleLoad) -> float:
+        """Maximum power of a load in any step."""
+        series, key = self.checker.trajectories.series, SeriesKey(name, "power_max")
+        return max(load.power[1], float(np.max(series[key])) if key in series else -math.inf)
 
     def power(self) -> Iterator[tuple[list[str], Complex]]:
         """Yield what is drawn."""
