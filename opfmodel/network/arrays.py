@@ -49,8 +49,8 @@ class Table:
     A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
     gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
     per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
-    owners of segments (``segment_owner``) and flags are vectors; see :func:`opfmodel.network.fields.points`
-    for those of a polygon. The ``status`` of a component that may go
+    owners of segments (``segment_owner``), flags and choices are vectors; see
+    :func:`opfmodel.network.fields.points` for those of a polygon. The ``status`` of a component that may go
     out is 1 in service and 0 while it is out.
 
     Attributes
@@ -414,6 +414,8 @@ def _table(
             arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1] / factor, ends[:, 1:] / factor
         elif form == "flag":
             arrays[key] = np.array(values, dtype=bool)
+        elif form == "choice":
+            arrays[key] = np.array(values, dtype=str)
         elif form == "bus":
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":
@@ -441,6 +443,7 @@ def _with_weights(table: Table, tables: Mapping[str, Table], kept: Mapping[str, 
     for key, of in table.kind.weight_fields().items():
         unit = table.kind.fields()[key].metadata["unit"]
         stated = [(i, getattr(kept[name], key)) for i, name in enumerate(table.names)]
+        made[f"{key}_stated"] = np.array([bool(own) for _, own in stated], dtype=bool)
         for other in of:
             position = tables[other].position if other in tables else {}
             entries = [(i, position[n], w) for i, own in stated for n, w in own.items() if n in position]

@@ -27,6 +27,7 @@ from opfmodel.network.fields import (
     rules_of_weights,
     type_of_adjustable,
     type_of_bus,
+    type_of_choice,
     type_of_flag,
     type_of_number,
     type_of_points,
@@ -59,6 +60,7 @@ _TYPES: Mapping[str, _Check] = {
     "span": type_of_span,
     "flag": type_of_flag,
     "bus": type_of_bus,
+    "choice": type_of_choice,
     "cost": _type_of_cost,
     "weights": type_of_weights,
     "adjustable": type_of_adjustable,
@@ -96,9 +98,9 @@ class Component:
     """Base class of all components of a network.
 
     A subclass is a frozen dataclass whose fields are made by :func:`number`, :func:`span`,
-    :func:`flag` and :func:`at_bus`. These state how a field is checked, converted to per unit and
-    laid out in arrays, and describe it in its docstring, in documentation and in the schema of scenario
-    files; a new kind of component needs nothing else.
+    :func:`flag`, :func:`choice`, :func:`weights` and :func:`at_bus`. These state how a field is checked,
+    converted to per unit and laid out in arrays, and describe it in its docstring, in documentation and in
+    the schema of scenario files; a new kind of component needs nothing else.
 
     Attributes
     ----------

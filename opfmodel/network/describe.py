@@ -31,6 +31,8 @@ def type_of(item: Field[Any]) -> str:
     if item.metadata["form"] == "span" and item.metadata["symmetric"]:
         return "range or number"
     form: str = item.metadata["form"]
+    if form == "choice":
+        return " or ".join(item.metadata["options"])
     return {
         "span": "range",
         "flag": "boolean",
@@ -59,6 +61,8 @@ def default_of(item: Field[Any]) -> str:
     value = item.default if item.default_factory is MISSING else item.default_factory()
     if value is MISSING:
         return "required"
+    if isinstance(value, str):
+        return value
     if value is None or isinstance(value, bool):
         return {None: "none", True: "true", False: "false"}[value]
     if isinstance(value, Mapping):

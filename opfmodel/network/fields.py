@@ -19,6 +19,7 @@ __all__ = [
     "adjustable",
     "at_bus",
     "check_positions",
+    "choice",
     "cost_of",
     "flag",
     "in_service",
@@ -34,6 +35,7 @@ __all__ = [
     "span",
     "type_of_adjustable",
     "type_of_bus",
+    "type_of_choice",
     "type_of_flag",
     "type_of_number",
     "type_of_points",
@@ -167,6 +169,18 @@ def flag(default: bool, description: str = "") -> Any:
     )
 
 
+def choice(options: Sequence[str], default: Any = MISSING, *, description: str = "") -> Any:
+    """Declare a field that holds one of some words; its array holds the words."""
+    metadata = {
+        "form": "choice",
+        "unit": "",
+        "series": False,
+        "options": tuple(options),
+        "description": description,
+    }
+    return field(default=default, metadata=metadata)
+
+
 def in_service() -> Any:
     """Declare the field ``in_service``, which every component has."""
     return flag(True, "Whether the component is in service; false leaves it out.")
@@ -182,7 +196,7 @@ def weights(unit: str, *, of: Sequence[str], default: Any = MISSING, description
 
     The arrays hold one entry per name, by kind of the named component: ``<field>_<kind>``, the numbers, and
     ``<field>_<kind>_owner`` and ``<field>_<kind>_member``, the positions of the component that declares the
-    field and of the named one.
+    field and of the named one. ``<field>_stated`` is whether a component names any, in service or not.
 
     Parameters
     ----------
@@ -382,6 +396,12 @@ def type_of_flag(name: str, key: str, value: object, _: Mapping[str, Any]) -> No
     """Raise :class:`ComponentError` unless a value is true or false."""
     if not is_flag(value):
         raise ComponentError(name, key, value, "must be true or false")
+
+
+def type_of_choice(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
+    """Raise :class:`ComponentError` unless a value is one of the words of its field."""
+    if not (isinstance(value, str) and value in rules["options"]):
+        raise ComponentError(name, key, value, f"must be {' or '.join(rules['options'])}")
 
 
 def type_of_bus(name: str, key: str, value: object, _: Mapping[str, Any]) -> None:

@@ -21,6 +21,7 @@ _FACTORS: dict[str, tuple[int, float]] = {
     "p.u.^2": (0, 1.0),
     "1/h": (0, 1.0),
     "h": (0, 1.0),
+    "min": (0, 1.0),
     "kV": (0, 1.0),
     "deg": (0, math.degrees(1.0)),
     "MW": (1, 1.0),

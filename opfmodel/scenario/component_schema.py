@@ -65,10 +65,12 @@ def _field(item: Field[Any]) -> Schema:
         form = [{"type": "array", "items": _point(rules["units"]), "minItems": 3}, {"type": "null"}]
     elif rules["form"] == "weights":
         form = [{"type": "object", "additionalProperties": {"anyOf": number}}]
+    elif rules["form"] == "choice":
+        form = [{"enum": list(rules["options"])}]
     else:
         form = [{"type": "boolean"}] if rules["form"] == "flag" else [{"type": "string"}, {"type": "integer"}]
     made: Schema = form[0] if len(form) == 1 else {"anyOf": form}
-    default = {} if not isinstance(item.default, bool | int | float) else {"default": item.default}
+    default = {} if not isinstance(item.default, bool | int | float | str) else {"default": item.default}
     return {"description": described, **default, **made}
 
 

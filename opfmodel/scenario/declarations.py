@@ -321,7 +321,9 @@ def _stand_ins(kind: type[Component], buses: list[str]) -> dict[str, Any]:
     made = {}
     for key, item in kind.fields().items():
         form = item.metadata["form"]
-        if form in values or form == "bus":
+        if form == "choice":
+            made[key] = item.metadata["options"][0]
+        elif form in values or form == "bus":
             made[key] = next(own, "") if form == "bus" else values[form]
     return made
 

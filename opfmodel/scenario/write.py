@@ -136,7 +136,8 @@ def _fields(component: Component) -> str:
     stated = {
         key: getattr(component, key)
         for key, item in component.fields().items()
-        if item.default is MISSING or getattr(component, key) != item.default
+        if getattr(component, key)
+        != (item.default if item.default_factory is MISSING else item.default_factory())
     }
     return _mapping({key: _cost(value) for key, value in stated.items()})
 
@@ -148,7 +149,7 @@ def _cost(value: Any) -> Any:
 
 
 def _mapping(values: dict[str, Any]) -> str:
-    inside = (f"{k}: {_mapping(v) if isinstance(v, dict) else scalar(v)}" for k, v in values.items())
+    inside = (f"{scalar(k)}: {_mapping(v) if isinstance(v, dict) else scalar(v)}" for k, v in values.items())
     return f"{{{', '.join(inside)}}}"
 
 
