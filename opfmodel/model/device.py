@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from opfmodel.model.stage import Stage
 from opfmodel.network.arrays import Table
@@ -18,15 +18,20 @@ class Device:
     """A kind of component that takes part in the power balance or in the cost; one class per file.
 
     Subclasses are registered by an entry point in the group ``opfmodel.devices``. They are convex:
-    bounded variables, affine rows, cones and convex costs.
+    bounded variables, affine rows, cones and convex costs. Devices of components without a bus are declared
+    after all others, so that they can refer to the quantities of these.
 
     Attributes
     ----------
     component
         The component class that the device models.
+    planned_only
+        Whether it is a commitment of plans, such as a reserve, which no plant enforces: reality may call it
+        up.
     """
 
     component: type[Component]
+    planned_only: ClassVar[bool] = False
 
     def declare(self, model: Model, table: Table) -> None:
         """Declare variables, limits, injections and intertemporal coupling for all components of the kind."""

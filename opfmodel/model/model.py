@@ -439,10 +439,17 @@ class Model:
     # Rows and costs ----------------------------------------------------------------------
 
     def limit(
-        self, kind: str, name: str, items: int, lower: Bound, upper: Bound, soft: Soft | None = None
+        self,
+        kind: str,
+        name: str,
+        items: int,
+        lower: Bound,
+        upper: Bound,
+        soft: Soft | None = None,
+        nodes: Index | None = None,
     ) -> Rows:
-        """Declare empty rows for every stage; bounds and ``soft`` as for :meth:`variable`."""
-        return self._rows(kind, name, items, self.stages, lower, upper, soft)
+        """Declare empty rows for every stage; bounds, ``soft`` and ``nodes`` as for :meth:`variable`."""
+        return self._rows(kind, name, items, self._columns(nodes), lower, upper, soft, nodes)
 
     def rows(
         self,

@@ -30,17 +30,18 @@ def make_formulation(formulation: str | Formulation) -> Formulation:
 
 
 def make_devices(network: PerUnitNetwork, given: Iterable[Device] = ()) -> list[Device]:
-    """Return the devices of a network: one per kind that has components and takes part in the balance."""
+    """Return the devices of a network: one per kind that has components and is not declared by formulations.
+
+    Those without a bus come last, for they refer to the quantities of others.
+    """
     by_kind = {}
     for device in given:
         if not isinstance(device, Device):
             raise ModelError(f"devices: {shown(device)}: must be a Device")
         by_kind[device.component.kind] = device
-    return [
-        by_kind[kind] if kind in by_kind else plugins.load("device", kind)()
-        for kind, table in network.tables.items()
-        if kind not in _WIRED and len(table)
-    ]
+    present = [kind for kind, table in network.tables.items() if kind not in _WIRED and len(table)]
+    present.sort(key=lambda kind: not network.tables[kind].kind.bus_fields())
+    return [by_kind[kind] if kind in by_kind else plugins.load("device", kind)() for kind in present]
 
 
 def absent_devices(network: PerUnitNetwork) -> list[Device]:

@@ -14,6 +14,7 @@ from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.errors import IncompatibleError, ModelError
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.component import Component
 from opfmodel.network.components import Generator, Storage
 from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
@@ -92,7 +93,7 @@ class SingleStageSequence:
 
 
 def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> SingleStageSequence:
-    """Solve every step on its own, without storage, ramps and custom constraints.
+    """Solve every step on its own, without storage, ramps, reserves and custom constraints.
 
     All steps are stages of one program without coupling; steps with equal data are solved once.
 
@@ -109,14 +110,13 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
         A step has no solution (the message names the step and the reason), or a device of another
         package couples the steps.
     """
-    network = _alone(problem.network)
-    storages = problem.network.of(Storage)
+    left_out: list[type[Component]] = [
+        Storage,
+        *(device.component for device in problem.devices if device.planned_only),
+    ]
+    network = _alone(problem.network, left_out)
     kept = Profiles(
-        {
-            key: v
-            for key, v in problem.profiles.items()
-            if key.component not in storages and key.field != "ramp"
-        },
+        {key: v for key, v in problem.profiles.items() if key.component in network and key.field != "ramp"},
         problem.profiles.calendar,
     )
     window = kept.steps(slice(start, start + steps))
@@ -167,12 +167,13 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     return SingleStageSequence(plan, stage, times, problem.network)
 
 
-def _alone(network: Network) -> Network:
-    """Return the network without storage, ramps and attached time series."""
+def _alone(network: Network, left_out: Sequence[type[Component]]) -> Network:
+    """Return the network without some kinds of components, ramps and attached time series."""
     alone = network.copy()
     alone.attach(Profiles())
-    for name in network.of(Storage):
-        alone.remove(name)
+    for kind in left_out:
+        for name in network.of(kind):
+            alone.remove(name)
     for name, generator in network.of(Generator).items():
         if generator.ramp is not None:
             alone.update(name, ramp=None)

@@ -23,6 +23,7 @@ from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.units import UNITS
 from opfmodel.plan import MultiStage
+from opfmodel.plan.parts import make_devices
 from opfmodel.simulation import simulate
 from opfmodel.testing.grids import HORIZONS
 from opfmodel.testing.options import check_documentation
@@ -151,6 +152,9 @@ def _declared(
     zones = formulation.zones(arrays)
     model = _Watching(arrays, horizon, reactive=formulation.reactive, zones=zones)
     formulation.declare(model)
+    for other in make_devices(arrays, [device]):  # to whose quantities the device may refer
+        if other is not device:
+            model.connect(other)
     model.watched = []
     how = "without" if not len(arrays.tables[device.component.kind]) else "with"
     with rules.rule(f"can be declared {how} components over {horizon} under {formulation.name}"):

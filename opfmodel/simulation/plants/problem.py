@@ -235,8 +235,11 @@ class SetPoints(Objective):
 def one_stage(
     problem: MultiStage, objective: Objective, devices: Sequence[Device], **options: Any
 ) -> MultiStage:
-    """Return a single-stage problem with AC physics for the network of a problem."""
-    return MultiStage(
+    """Return a single-stage problem with AC physics for the network of a problem.
+
+    It has no devices that are commitments of plans only.
+    """
+    made = MultiStage(
         _without_moves(problem.network),
         step=problem.step,
         objective=objective,
@@ -246,6 +249,8 @@ def one_stage(
         options=_PRECISE,
         **{"profiles": problem.profiles, **options},
     )
+    made.devices = [device for device in made.devices if not device.planned_only]
+    return made
 
 
 def _without_moves(network: Network) -> Network:
