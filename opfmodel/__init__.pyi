@@ -18,6 +18,7 @@ from .network import (
     PiecewiseLinear as PiecewiseLinear,
     Polynomial as Polynomial,
     Renewable as Renewable,
+    Reserve as Reserve,
     Shunt as Shunt,
     Storage as Storage,
     from_pandapower as from_pandapower,

@@ -9,11 +9,23 @@ from opfmodel.network.components import (
     Generator,
     Load,
     Renewable,
+    Reserve,
     Shunt,
     Storage,
 )
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
-from opfmodel.network.fields import TableField, at_bus, flag, in_service, number, span
+from opfmodel.network.fields import (
+    TableField,
+    adjustable,
+    at_bus,
+    choice,
+    flag,
+    in_service,
+    number,
+    points,
+    span,
+    weights,
+)
 from opfmodel.network.network import Network, name_pattern
 
 __all__ = [
@@ -29,13 +41,18 @@ __all__ = [
     "PiecewiseLinear",
     "Polynomial",
     "Renewable",
+    "Reserve",
     "Shunt",
     "Storage",
     "TableField",
+    "adjustable",
     "at_bus",
+    "choice",
     "flag",
     "in_service",
     "name_pattern",
     "number",
+    "points",
     "span",
+    "weights",
 ]

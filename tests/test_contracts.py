@@ -85,6 +85,9 @@ def example(kind: str) -> Component:
         return om.Renewable(
             "x", available=3, q=(-2, 2), power_factor=0.9, rating=3.1, curtail_cost=5, capability=corners
         )
+    if kind == "reserve":
+        units = {"slack": 30}
+        return om.Reserve(5, "down", hours=0.5, units=units, cost={"slack": 2}, lacking_cost=400)
     if kind == "fleet":
         from example_plugins.fleet import Fleet
 

@@ -1,1 +1,1 @@
-"""Devices: components connected to a bus, one file each, convex in every formulation."""
+"""Devices: kinds of equipment, one file each, convex in every formulation."""

@@ -7,6 +7,7 @@ from opfmodel.check.equipment.flexible_loads import FlexibleLoads
 from opfmodel.check.equipment.generators import Generators
 from opfmodel.check.equipment.loads import Loads
 from opfmodel.check.equipment.renewables import Renewables
+from opfmodel.check.equipment.reserves import Reserves
 from opfmodel.check.equipment.settings import Branches
 from opfmodel.check.equipment.shunts import Shunts
 from opfmodel.check.equipment.storages import Storages
@@ -16,9 +17,10 @@ __all__ = ["EQUIPMENT", "Equipment"]
 EQUIPMENT: tuple[type[Equipment], ...] = (
     Branches,
     Generators,
-    Storages,
     Renewables,
+    Storages,
     Loads,
     FlexibleLoads,
     Shunts,
+    Reserves,
 )

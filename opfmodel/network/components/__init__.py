@@ -1,7 +1,7 @@
 """Built-in kinds of components, one file each.
 
 Quantities are in physical units: MW, MVAr, MVA, MWh, hours, degrees and $. Impedances are per unit on the
-network's ``base_mva``, and voltages are per unit.
+network"s ``base_mva``, and voltages are per unit.
 """
 
 from __future__ import annotations
@@ -13,18 +13,32 @@ from opfmodel.network.components.flexible_load import FlexibleLoad
 from opfmodel.network.components.generator import Generator
 from opfmodel.network.components.load import Load
 from opfmodel.network.components.renewable import Renewable
+from opfmodel.network.components.reserve import Reserve
 from opfmodel.network.components.shunt import Shunt
 from opfmodel.network.components.storage import Storage
 
-__all__ = ["BUILT_IN", "Branch", "Bus", "FlexibleLoad", "Generator", "Load", "Renewable", "Shunt", "Storage"]
+__all__ = [
+    "BUILT_IN",
+    "Branch",
+    "Bus",
+    "FlexibleLoad",
+    "Generator",
+    "Load",
+    "Renewable",
+    "Reserve",
+    "Shunt",
+    "Storage",
+]
+
 BUILT_IN: tuple[type[Component], ...] = (
     Bus,
     Branch,
     Generator,
+    Renewable,
     Storage,
     Load,
     FlexibleLoad,
     Shunt,
-    Renewable,
+    Reserve,
 )
 """Kinds of this package; devices from other packages define their own."""
