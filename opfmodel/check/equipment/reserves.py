@@ -121,7 +121,7 @@ class Reserves(Equipment):
             energy = (1.0 - inside) * start + inside * end
             low, high = least, most
             if duration < np.inf:  # the looser limit of both ends
-                low, high = np.minimum(least, _before(least)), np.maximum(most, _before(most))
+                low, high = np.minimum(least, _before(least, 0.0)), np.maximum(most, _before(most, np.inf))
             excess.append(low - energy + drain * self._total(offers, "up", duration) - called)
             excess.append(energy + gain * self._total(offers, "down", duration) - high - called)
         self.checker.note("reserve energy", units.names, np.stack(excess, axis=1), "MWh")
@@ -142,6 +142,8 @@ class Reserves(Equipment):
         return rate
 
 
-def _before(limit: Array) -> Array:
-    """Return a limit in the stage before each; in the first one, that of itself."""
-    return np.column_stack([limit[:, :1], limit[:, :-1]]) if limit.shape[1] > 1 else limit
+def _before(limit: Array, unknown: float) -> Array:
+    """Return a limit in the stage before each; that before the first is not known if it varies."""
+    if limit.shape[1] == 1:
+        return limit
+    return np.column_stack([np.full(len(limit), unknown), limit[:, :-1]])
