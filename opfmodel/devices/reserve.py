@@ -71,24 +71,16 @@ class ReserveDevice(Device):
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``reserve_offered``, ``reserve_lacking`` and the offers ``<product>_<kind of unit>``."""
         nodes = np.arange(len(model.horizon.regular))
-        offered = model.variable(
-            "reserve",
-            "reserve_offered",
-            0.0,
-            unit="MW",
-            nodes=nodes,
-            description="reserve offered by all units",
-        )
+        offered = _decided(model, "reserve", "reserve_offered", np.inf, nodes, "reserve offered by all units")
         if not len(table):
             return
         sums = model.limit("reserve", "reserve_sum", len(table), 0.0, 0.0, nodes=nodes)
         model.build.add(-offered, into=sums)
         enough: Any = offered
         if np.isfinite(table.lacking_cost).any():
-            enough = offered + model.variable(
-                "reserve", "reserve_lacking", 0.0, _may_lack,
-                unit="MW", nodes=nodes, description="required reserve that is missing",
-            )  # fmt: skip
+            enough = offered + _decided(
+                model, "reserve", "reserve_lacking", _may_lack, nodes, "required reserve that is missing"
+            )
         soft = Soft("reserve", np.arange(len(table)), "MW", below="lacks {}")
         model.rows("reserve", "reserve_requirement", enough, "requirement", np.inf, soft, nodes)
         model.price("reserve", "reserve_price", _price, "$/MWh", "cost of one more MW of required reserve")
@@ -119,6 +111,17 @@ class ReserveDevice(Device):
         return sum(costs[1:], start=costs[0]) if costs else None
 
 
+def _decided(model: Model, kind: str, name: str, most: Bound, nodes: Index, about: str) -> Expression:
+    """Declare and publish an amount in the regular nodes.
+
+    Its variable has another name, so that it is neither a set-point that plants pursue nor a response to an
+    outage, and a steady state is inside its limits whatever is offered.
+    """
+    amount = model.variable(kind, f"{name} decided", 0.0, most, unit="MW", nodes=nodes, publish=False)
+    model.publish(kind, name, amount, unit="MW", description=about)
+    return amount
+
+
 def _may_lack(table: Table) -> Array:
     return np.where(np.isfinite(table.lacking_cost), table.requirement, 0.0)
 
@@ -137,10 +140,9 @@ def _offers(model: Model, table: Table, kind: str, nodes: Index) -> Iterator[_Of
             members, most = table.arrays[f"units_{kind}_member"][own], table.arrays[f"units_{kind}"][own]
         if not members.size:
             continue
-        amount = model.variable(
-            kind, f"{name}_{kind}", 0.0, _most(members, most, float(table.minutes[product, 0]) / 60.0),
-            unit="MW", nodes=nodes, description=f"reserve offered as {name!r}",
-        )  # fmt: skip
+        most_in_time = _most(members, most, float(table.minutes[product, 0]) / 60.0)
+        about = f"reserve offered as {name!r}"
+        amount = _decided(model, kind, f"{name}_{kind}", most_in_time, nodes, about)
         yield _Offer(product, members, amount[members])
 
 

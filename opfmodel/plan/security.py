@@ -174,7 +174,6 @@ class Security:
             and p.kind not in ("bus", "branch")
             and name not in model.settings
             and not (name in model.states and model.states[name].role == "stock")
-            and p.values.stages == model.stages  # else it is decided in regular nodes only
         ]  # fmt: skip
         for name, published in decided:
             kind, block = published.kind, model.build.variables[name]
