@@ -343,6 +343,15 @@ def test_a_plant_calls_up_what_the_plan_keeps_ready(plant: om.Plant) -> None:
                 and v["value"] > 1e-4]  # fmt: skip
 
 
+def test_a_plan_that_does_not_know_of_an_outage_counts_on_the_unit() -> None:
+    grid = one_bus(requirement=30, units={"dear": 60}, cost={"dear": 1}, lacking_cost=100)
+    problem = om.MultiStage(grid, 2, formulation="dc", outages=["dear"])
+    plant = om.Redispatch().with_outages([om.Outage("dear", 1, 3)])
+    run = om.simulate(problem, plant, steps=4)
+    assert run.data.spin_generator.values[:, 1] == pytest.approx([30.0, 30.0, 0.0, 0.0], abs=1e-3)
+    assert check(grid, run.data).max_violation < 1e-6
+
+
 def test_a_nominal_loop_passes_the_check() -> None:
     profiles = {"town.p": np.resize(TOWN, 6), "slow.requirement": np.resize(SLOW, 6)}
     problem = om.MultiStage(with_cell(), 3, formulation="dc", profiles=profiles, at_end="shrink")
