@@ -88,6 +88,8 @@ def example(kind: str) -> Component:
     if kind == "reserve":
         units = {"slack": 30}
         return om.Reserve(5, "down", hours=0.5, units=units, cost={"slack": 2}, lacking_cost=400)
+    if kind == "dc_line":
+        return om.DCLine("x", "y", p=(-6, 9), loss=0.05, loss_fixed=0.2, q_from=(-2, 3), q_to=1, cost=1.5)
     if kind == "fleet":
         from example_plugins.fleet import Fleet
 

@@ -61,8 +61,9 @@ class Report:
     unchecked
         Items that could not be verified because a formulation or device is from another package.
     simultaneous
-        Maximum power, p.u., at which a storage with losses charges and discharges simultaneously.
-        This is not a violation but shows that the storage model is not tight.
+        Maximum power, p.u., at which a storage with losses charges and discharges simultaneously, or a DC
+        line with losses carries power both ways. This is not a violation but shows that the model is not
+        tight.
     currency
         Name of the currency of the network.
     """

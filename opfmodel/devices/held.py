@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.devices.dc_line import DESCRIBED, DCLineDevice
 from opfmodel.devices.flexible_load import reactive_share
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
-from opfmodel.network.components import FlexibleLoad, Generator, Load, Renewable, Storage
+from opfmodel.network.components import DCLine, FlexibleLoad, Generator, Load, Renewable, Storage
 from opfmodel.network.shares import WIDE, divide
 
 __all__ = [
+    "HeldDCLines",
     "HeldFlexibleLoads",
     "HeldGenerators",
     "HeldLoads",
@@ -115,6 +117,21 @@ class HeldFlexibleLoads(Device):
         model.publish("flexible_load", "flexible_load_p", p, unit="MW", description="power drawn")
         model.publish("flexible_load", "flexible_load_q", q, unit="MVAr", description="reactive power drawn")
         model.inject(table.bus, p=-p, q=-q)
+
+
+class HeldDCLines(Device):
+    """DC lines at their set-points; the power at the to end follows from that at the from end."""
+
+    component = DCLine
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Publish the power at both ends as set."""
+        fields = ("forward_set", "backward_set", "qf_set", "qt_set")
+        units = ("MW", "MW", "MVAr", "MVAr")
+        forward, backward, qf, qt = values = [model.parameter("dc_line", field) for field in fields]
+        for (name, description), value, unit in zip(DESCRIBED.items(), values, units, strict=True):
+            model.publish("dc_line", name, value, unit=unit, description=description)
+        DCLineDevice.connect(model, table, (forward, backward), (qf, qt))
 
 
 def _left(model: Model, what: str, shares: Array, group: Index) -> Any:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.components import Branch, Bus, Generator, Load, Renewable, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Renewable, Storage
 from opfmodel.network.network import Network
 from opfmodel.network.suspicions import Suspicion, suspicions
 
@@ -21,11 +21,18 @@ __all__ = ["Inspection", "Island", "Level", "inspect", "topology"]
 
 @dataclass(frozen=True)
 class Island:
-    """A part of the network without connection to the others; powers in MW."""
+    """A part of the network without connection to the others but DC lines; powers in MW.
+
+    Attributes
+    ----------
+    import_mw
+        Maximum power that DC lines from other islands deliver.
+    """
 
     buses: int
     capacity_mw: float
     demand_mw: float
+    import_mw: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ def _islands(network: Network, graph: Any) -> tuple[tuple[Island, ...], int]:
     parts = sorted(nx.connected_components(graph), key=len, reverse=True)
     for number, members in enumerate(parts):
         place |= dict.fromkeys(members, number)
-    capacity, demand = [0.0] * len(parts), [0.0] * len(parts)
+    capacity, demand, imported = ([0.0] * len(parts) for _ in range(3))
     for unit in network.of(Generator).values():
         if unit.in_service and unit.bus in place:
             capacity[place[unit.bus]] += unit.p[1]
@@ -182,7 +189,13 @@ def _islands(network: Network, graph: Any) -> tuple[tuple[Island, ...], int]:
     for load in network.of(Load).values():
         if load.in_service and load.bus in place:
             demand[place[load.bus]] += load.p
-    islands = tuple(Island(len(p), c, d) for p, c, d in zip(parts, capacity, demand, strict=True))
+    for line in network.of(DCLine).values():
+        if line.in_service and place.keys() >= set(line.buses) and len({place[b] for b in line.buses}) > 1:
+            for bus, delivered in zip(line.buses, line.delivered_mw, strict=True):
+                imported[place[bus]] += delivered
+    islands = tuple(
+        Island(len(p), *powers) for p, *powers in zip(parts, capacity, demand, imported, strict=True)
+    )
     return islands, graph.number_of_edges() - graph.number_of_nodes() + len(parts)
 
 
@@ -209,8 +222,10 @@ def _of_the_whole(
     if demand.max() <= 0:
         yield Suspicion("", "network", "demand", float(demand.max()), "no demand")
     for number, island in enumerate(islands, start=1):
-        if len(islands) > 1 and island.demand_mw > island.capacity_mw:
+        if len(islands) > 1 and island.demand_mw > island.capacity_mw + island.import_mw:
+            fed = f", with {island.import_mw:g} MW by DC lines" if island.import_mw else ""
             why = (
                 f"island {number} of {island.buses} buses has less capacity than its {island.demand_mw:g} MW"
+                f"{fed}"
             )
             yield Suspicion("", "network", "capacity", island.capacity_mw, why)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import INF
 from opfmodel.network.network import Network
@@ -21,6 +21,7 @@ _TAPS = (0.8, 1.25)
 _NARROW = 1.0  # degrees
 _WIDE_VM = (0.5, 1.5)  # p.u.
 _LARGE = 1000.0  # times the demand
+_LOSS = 0.1  # of what a DC line sends
 
 
 @dataclass(frozen=True)
@@ -61,24 +62,29 @@ def suspicions(network: Network, graph: Any, demand: float) -> Iterator[Suspicio
         yield Suspicion("", "network", "cost", repr(costs[0]), "all generators cost the same")
     buses = network.of(Bus)
     most = _LARGE * max(demand, 1.0)
+    rules: dict[type, Callable[[Any], _Found]] = {
+        Generator: lambda unit: _of_generator(unit, most),
+        Storage: _of_storage,
+        DCLine: lambda line: _of_dc_line(line, most),
+        Load: _of_load,
+        Shunt: _of_shunt,
+    }
+    fed = {bus for line in network.of(DCLine).values() if line.in_service for bus in line.buses}
     twins: dict[tuple[Any, ...], str] = {}
     for name, component in ((name, network[name]) for name in network):
         if not component.in_service:
             continue
         if isinstance(component, Bus):
-            found = _of_bus(component, graph.degree(name) if len(graph) > 1 else 1)
+            alone = len(graph) > 1 and not graph.degree(name) and name not in fed
+            found = _of_bus(component, alone)
         elif isinstance(component, Branch):
             kv = min((buses[end].base_kv or 0.0) for end in component.buses)
             found = _of_branch(component, kv, network.base_mva, most)
             twin = twins.setdefault(_identity(component), name)
             if twin != name:
                 yield Suspicion(name, "branch", "to_bus", twin, "all its data are those of another branch")
-        elif isinstance(component, Generator):
-            found = _of_generator(component, most)
-        elif isinstance(component, Storage):
-            found = _of_storage(component)
-        elif isinstance(component, Load | Shunt):
-            found = _of_load(component) if isinstance(component, Load) else _of_shunt(component)
+        elif type(component) in rules:
+            found = rules[type(component)](component)
         else:
             continue
         for field, value, why in found:
@@ -96,9 +102,9 @@ def grouped(found: Iterable[Suspicion]) -> dict[tuple[str, str, str], list[Suspi
 _Found = Iterator[tuple[str, Any, str]]
 
 
-def _of_bus(bus: Bus, degree: int) -> _Found:
+def _of_bus(bus: Bus, alone: bool) -> _Found:
     low, high = bus.vm
-    if degree == 0:
+    if alone:
         yield "in_service", True, "no branch in service leads to it"
     if low == high:
         yield "vm", bus.vm, "its voltage is fixed"
@@ -161,6 +167,18 @@ def _of_storage(storage: Storage) -> _Found:
     if storage.charge_efficiency * storage.discharge_efficiency < 0.5:
         round_trip = (storage.charge_efficiency, storage.discharge_efficiency)
         yield "charge_efficiency, discharge_efficiency", round_trip, "more than half of the energy is lost"
+
+
+def _of_dc_line(line: DCLine, most: float) -> _Found:
+    low, high = line.constant("p_min"), line.constant("p_max")
+    if low == high == 0:
+        yield "p", line.p, "a DC line that may carry nothing"
+    elif high > most or low < -most:
+        yield "p", line.p, "limits far beyond the demand"
+    if line.loss > _LOSS:
+        yield "loss", line.loss, "more than a tenth of what is sent is lost"
+    if line.loss_fixed > max(abs(low), abs(high)):
+        yield "loss_fixed", line.loss_fixed, "loses more than it may carry"
 
 
 def _of_load(load: Load) -> _Found:

@@ -102,8 +102,8 @@ class MultiStage:
     security
         Outages that every stage must survive; see :class:`Security`. None by default.
     outages
-        Names of the branches, generators and storages that a solve may take as out of service; see the
-        argument ``out`` of :meth:`solve`.
+        Names of the branches, generators, storages and DC lines that a solve may take as out of service;
+        see the argument ``out`` of :meth:`solve`.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     at_end

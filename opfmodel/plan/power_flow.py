@@ -10,6 +10,7 @@ import numpy.typing as npt
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
 from opfmodel.devices.held import (
+    HeldDCLines,
     HeldFlexibleLoads,
     HeldGenerators,
     HeldLoads,
@@ -55,7 +56,9 @@ def power_flow(
     network
         The network. Generators inject ``pg_set``; those that regulate hold ``vm_set`` at their bus and share
         the reactive power that this takes in proportion to their ranges, the others inject ``qg_set``.
-        Storages draw ``ps_set`` and ``qs_set``, renewables inject what is available. Limits are not enforced.
+        Storages draw ``ps_set`` and ``qs_set``, renewables inject what is available. DC lines draw ``pf_set``
+        at their from end, and their converters inject ``qf_set`` and ``qt_set`` without holding a voltage.
+        Limits are not enforced.
     slack
         Which generators of an island cover what the set-points lack: ``single`` the first that regulates the
         reference bus, ``distributed`` all that participate.
@@ -151,6 +154,7 @@ class _Flow:
             HeldLoads(),
             *([HeldRenewables()] if len(points.network.renewable) else []),
             *([HeldFlexibleLoads()] if len(points.network.tables["flexible_load"]) else []),
+            HeldDCLines(),
         ]
         for device in devices:
             model.connect(device)

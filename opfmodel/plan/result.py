@@ -280,14 +280,6 @@ class Plan:
             if state.role == "stock"
         }
 
-    def decisions(self) -> list[tuple[str, str]]:
-        """Return the published quantities that are decision variables but not stocks, by ``(kind, name)``."""
-        return [
-            (p.kind, name)
-            for name, p in self.model.published.items()
-            if name in self.solution.program.variables and name not in self.stocks()
-        ]
-
     def _points(self, name: str) -> Array:
         return self.solution.variable(name)
 

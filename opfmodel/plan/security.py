@@ -56,8 +56,8 @@ class Security:
     ----------
     contingencies
         ``all``: every branch whose outage does not split the grid; or the names of components, or patterns
-        with stars, by ``branches``, ``generators`` and ``storages``. Patterns leave out branches whose outage
-        splits the grid.
+        with stars, by ``branches``, ``generators``, ``storages`` and ``dc_lines``. Patterns leave out
+        branches whose outage splits the grid.
     response
         ``corrective`` or ``preventive``.
     minutes
@@ -181,10 +181,10 @@ class Security:
             kept = np.flatnonzero(np.asarray(moves))
             if name == "qg" or not kept.size:
                 continue
-            change = published.values[kept][:, nodes] - published.values[kept][:, before]
+            change, holds = published.values[kept][:, nodes] - published.values[kept][:, before], _there
             if name == "pg":
-                change = change - self._slack(model, kept, nodes)
-            model.rows(kind, f"{name} held", change, *_zero_if(_left, kept), nodes=nodes)
+                change, holds = change - self._slack(model, kept, nodes), _left
+            model.rows(kind, f"{name} held", change, *_zero_if(holds, kept), nodes=nodes)
         units = network.generator
         at, position = np.unique(units.bus, return_inverse=True)
         magnitude = model.published.get("w") or model.published.get("vm")
@@ -223,10 +223,14 @@ class Security:
         return np.column_stack([divide(column, island) for column in weights.T])
 
 
+def _there(table: Table) -> npt.NDArray[np.bool_]:
+    """Return which components are in service, by node."""
+    return np.asarray(table.arrays.get("status", np.ones((len(table), 1))) > 0)
+
+
 def _left(table: Table) -> npt.NDArray[np.bool_]:
-    """Return which components are in service and, if active power is limited, can change it, by node."""
-    status = table.arrays.get("status", np.ones((len(table), 1))) > 0
-    return status & (table.p_min < table.p_max) if "p_min" in table.arrays else status
+    """Return which components are in service and can change their active power, by node."""
+    return np.asarray(_there(table) & (table.p_min < table.p_max))
 
 
 def _zero_if(

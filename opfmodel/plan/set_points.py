@@ -18,6 +18,8 @@ from opfmodel.network.shares import WIDE, divide
 
 __all__ = ["Held", "held", "slack_shares"]
 
+_ENDS = ("from", "to")
+
 
 @dataclass(frozen=True, eq=False)
 class Held:
@@ -26,8 +28,8 @@ class Held:
     Attributes
     ----------
     network
-        The network with ``pg_set``, ``qg_set``, ``ps_set`` and ``qs_set`` filled in, and with
-        ``p_set`` and ``q_set`` of the renewables.
+        The network with ``pg_set``, ``qg_set``, ``ps_set``, ``qs_set`` and the set-points of other kinds
+        filled in.
     regulates
         Mask of the generators that hold the voltage of their bus.
     reference
@@ -103,6 +105,12 @@ class Held:
             ("shunt", "g"),
         ):
             total = total - network.at_buses(kind, network.tables[kind].arrays[field])
+        lines = network.tables["dc_line"]
+        arrives = 1.0 - lines.loss
+        np.subtract.at(total, lines.from_bus, lines.forward_set - lines.backward_set)
+        np.subtract.at(
+            total, lines.to_bus, lines.backward_set / arrives - arrives * lines.forward_set + lines.loss_fixed
+        )
         lacking = -np.bincount(network.island, total[:, 0])
         total[:, 0] += network.at_buses("generator", shares * lacking[network.island[network.generator.bus]])
         return np.asarray(total[:, 0])
@@ -133,6 +141,7 @@ def held(network: PerUnitNetwork) -> Held:
             ("renewable", "p_set"): _uncurtailed(units),
             ("renewable", "q_set"): np.clip(0.0, units.q_min, units.q_max),
             ("flexible_load", "flexible_load_p_set"): _or_zero(network.tables["flexible_load"].p_set),
+            **_of_dc_lines(network.tables["dc_line"]),
         }
     )
     return Held(ready, regulates, reference, at, vm, network.bus.va_set[reference, 0], tuple(notes))
@@ -193,6 +202,14 @@ def _given(table: Table, field: str, limits: str) -> Array:
 def _uncurtailed(units: Table) -> Array:
     """Return what is available, as far as ratings and capability curves permit."""
     return np.asarray(np.minimum(units.available, np.minimum(units.rating, units.capability_p_max)))
+
+
+def _of_dc_lines(table: Table) -> dict[tuple[str, str], Array]:
+    """Return the set-points of DC lines; each end sends or receives."""
+    pf = _given(table, "pf_set", "p")
+    forward = np.where(table.loss > 0, np.maximum(pf, 0.0), pf)
+    reactive = {("dc_line", f"q{end[0]}_set"): _given(table, f"q{end[0]}_set", f"q_{end}") for end in _ENDS}
+    return {("dc_line", "forward_set"): forward, ("dc_line", "backward_set"): forward - pf, **reactive}
 
 
 def _or_zero(values: Array) -> Array:

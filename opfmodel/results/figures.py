@@ -38,7 +38,7 @@ _FORMATS: dict[str, dict[str, Any]] = {"pdf": {}, "png": {"dpi": 200, "pil_kwarg
 
 
 def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # noqa: ARG001 - same signature
-    """Plot system totals: demand and generation, storage power, branch losses, stored energy and cost."""
+    """Plot system totals: demand and generation, storage power, losses, stored energy and cost."""
     stored = "e_next" in data
     figure, axes = column(2 + stored + ("cost_rate" in data))
     panels = iter(axes)
@@ -58,6 +58,10 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     if {"pf", "pt"} <= set(data):
         losses = total(data, "pf") + total(data, "pt")
         draw_steps(rest, data, losses, label="branch losses", color=COLOURS[4])
+    if "dc_line_loss" in data:
+        draw_steps(
+            rest, data, total(data, "dc_line_loss"), label="DC line losses", color=COLOURS[3], linestyle=":"
+        )
     for number, name in enumerate(injections(data)):
         label = name.removesuffix("_p")
         draw_steps(

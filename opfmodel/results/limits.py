@@ -71,6 +71,13 @@ LIMITS = {
         lambda t: t.power_min * t.inside,
         lambda t: t.power_max * t.inside,
     ),
+    "dc_line_pf": Limit("dc_line", "MW", "power of the DC line", lambda t: t.p_min, lambda t: t.p_max),
+    "dc_line_qf": Limit(
+        "dc_line", "MVAr", "reactive power at the from end", lambda t: t.q_from_min, lambda t: t.q_from_max
+    ),
+    "dc_line_qt": Limit(
+        "dc_line", "MVAr", "reactive power at the to end", lambda t: t.q_to_min, lambda t: t.q_to_max
+    ),
     "e": Limit("storage", "MWh", "stored energy", lambda t: t.energy_min, lambda t: t.energy),
 }
 """Quantities whose limits a dataset has as ``<quantity>_min`` and ``<quantity>_max``."""
@@ -117,7 +124,7 @@ def binding(data: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         Integers by the name of the quantity, with its dimensions: ``vm``, ``pg``, ``qg``, ``ps``, ``qs``,
-        ``renewable_p``, ``renewable_q``, and ``e`` at the end of each stage. ``pg_ramp`` is 1 where
+        those of renewables and DC lines, and ``e`` at the end of each stage. ``pg_ramp`` is 1 where
         generation rises from the stage before by as much as its ramp limit permits, and -1 where it falls by
         as much. Quantities that are fixed are at no limit, nor are components while they are out of service.
         A quantity whose limits are not in the data is absent.

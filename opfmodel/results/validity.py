@@ -11,6 +11,7 @@ import numpy as np
 
 from opfmodel.data.calendar import zone_of
 from opfmodel.errors import ProfileError, ResultError, shown
+from opfmodel.network.components import BUILT_IN
 from opfmodel.results.limits import LIMITS, RAMPS
 
 if TYPE_CHECKING:
@@ -27,7 +28,10 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("ps", "qs", "e", "e_next"), ("time", "storage")),
     **dict.fromkeys(("pf", "qf", "pt", "qt"), ("time", "branch")),
     **dict.fromkeys(("renewable_p", "renewable_q"), ("time", "renewable")),
-    **{f"{kind}_status": ("time", kind) for kind in ("branch", "generator", "storage", "renewable")},
+    **dict.fromkeys(
+        ("dc_line_pf", "dc_line_pt", "dc_line_loss", "dc_line_qf", "dc_line_qt"), ("time", "dc_line")
+    ),
+    **{f"{kind.kind}_status": ("time", kind.kind) for kind in BUILT_IN if kind.lost},
     **dict.fromkeys(("cost_rate", "outages_known"), ("time",)),
     "generator_bus": ("generator",),
     "storage_bus": ("storage",),

@@ -282,7 +282,7 @@ def make_outages(document: Document, settings: ScenarioFile, network: PerUnitNet
     for number, section in enumerate(settings.plant.outages):
         at, named = ("plant", "outages", number), section.named
         if len(named) != 1:
-            text = f"names {len(named)} components; must name one: a branch, generator or storage"
+            text = f"names {len(named)} components; must name one: a branch, generator, storage or dc_line"
             document.faults.add(document.fault(at, text))
             continue
         [(kind, name)] = named.items()

@@ -230,6 +230,7 @@ class ContingenciesSection(Section):
     generators: list[str] = Field(default_factory=list, description="names or patterns of generators")
     storages: list[str] = Field(default_factory=list, description="names or patterns of storages")
     renewables: list[str] = Field(default_factory=list, description="names or patterns of renewables")
+    dc_lines: list[str] = Field(default_factory=list, description="names or patterns of DC lines")
 
 
 class SecuritySection(Section):
@@ -314,12 +315,15 @@ class ControllerSection(Section):
 
 
 class OutageSection(Section):
-    """A component that trips in the closed loop: one of `branch`, `generator`, `storage` and `renewable`."""
+    """A component that trips in the closed loop: one of `branch`, `generator`, `storage`, `renewable` and
+    `dc_line`.
+    """
 
     branch: str | None = Field(None, description="name of a branch")
     generator: str | None = Field(None, description="name of a generator, in place of a branch")
     storage: str | None = Field(None, description="name of a storage, in place of a branch")
     renewable: str | None = Field(None, description="name of a renewable, in place of a branch")
+    dc_line: str | None = Field(None, description="name of a DC line, in place of a branch")
     step: int = Field(ge=0, description="step of the loop at whose beginning it trips, from 0 on")
     hours: Annotated[float, In("h")] = Field(
         gt=0, description="how long it is out of service, a multiple of `time.step`"
@@ -333,6 +337,7 @@ class OutageSection(Section):
             "generator": self.generator,
             "storage": self.storage,
             "renewable": self.renewable,
+            "dc_line": self.dc_line,
         }
         return {kind: name for kind, name in given.items() if name is not None}
 

@@ -32,7 +32,7 @@ class Outage:
     Parameters
     ----------
     component
-        Name of a branch, generator or storage.
+        Name of a branch, generator, storage or DC line.
     step
         Step of the loop at whose beginning it trips.
     hours

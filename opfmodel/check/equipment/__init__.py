@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.dc_lines import DCLines
 from opfmodel.check.equipment.flexible_loads import FlexibleLoads
 from opfmodel.check.equipment.generators import Generators
 from opfmodel.check.equipment.loads import Loads
@@ -16,6 +17,7 @@ __all__ = ["EQUIPMENT", "Equipment"]
 
 EQUIPMENT: tuple[type[Equipment], ...] = (
     Branches,
+    DCLines,
     Generators,
     Renewables,
     Storages,

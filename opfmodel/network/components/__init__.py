@@ -9,6 +9,7 @@ from __future__ import annotations
 from opfmodel.network.component import Component
 from opfmodel.network.components.branch import Branch
 from opfmodel.network.components.bus import Bus
+from opfmodel.network.components.dc_line import DCLine
 from opfmodel.network.components.flexible_load import FlexibleLoad
 from opfmodel.network.components.generator import Generator
 from opfmodel.network.components.load import Load
@@ -21,6 +22,7 @@ __all__ = [
     "BUILT_IN",
     "Branch",
     "Bus",
+    "DCLine",
     "FlexibleLoad",
     "Generator",
     "Load",
@@ -33,6 +35,7 @@ __all__ = [
 BUILT_IN: tuple[type[Component], ...] = (
     Bus,
     Branch,
+    DCLine,
     Generator,
     Renewable,
     Storage,
