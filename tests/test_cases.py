@@ -283,15 +283,15 @@ def test_a_cost_without_its_numbers_is_an_error_in_every_format(tmp_path: Path) 
         om.read_network(path)
 
 
-DC_LINE = "\nmpc.dcline = [\n1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;\n];\n"
+RESERVES = "\nmpc.reserves = [\n1 3 10;\n];\n"
 
 
 def test_what_is_lost_is_an_error_unless_it_is_accepted(tmp_path: Path) -> None:
-    path = tmp_path / "dc.m"
-    path.write_text(case5() + DC_LINE)
-    with pytest.raises(CaseError, match=r"dc\.m: contains .*1 HVDC line.* in service.*lossy=True"):
+    path = tmp_path / "case.m"
+    path.write_text(case5() + RESERVES)
+    with pytest.raises(CaseError, match=r"case\.m: contains .*mpc\.reserves is not represented.*lossy=True"):
         om.read_network(path)
-    with pytest.warns(CaseWarning, match=r"dc\.m: lost: 1 HVDC line.* in service"):
+    with pytest.warns(CaseWarning, match=r"case\.m: lost: line \d+: mpc\.reserves is not represented"):
         network = om.read_network(path, lossy=True)
     assert contents(network) == contents(om.read_network(DATA / "matpower" / "case5.m"))
 

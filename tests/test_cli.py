@@ -139,19 +139,18 @@ def test_validate(call: Call, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", ["solve", "validate"])
 @pytest.mark.parametrize(
-    ("name", "accept"), [("dc.m", ["--lossy"]), ("dc.yaml", ["--set", "network.lossy=true"])]
+    ("name", "accept"), [("more.m", ["--lossy"]), ("more.yaml", ["--set", "network.lossy=true"])]
 )
 def test_losses_of_a_network_file_are_refused_or_accepted(
     command: str, name: str, accept: list[str], call: Call, tmp_path: Path
 ) -> None:
-    line = "1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;"
-    text = (DATA / "matpower" / "case5.m").read_text() + f"\nmpc.dcline = [\n{line}\n];\n"
-    (tmp_path / "dc.m").write_text(text)
-    (tmp_path / "dc.yaml").write_text("network: {file: dc.m}\n")
+    text = (DATA / "matpower" / "case5.m").read_text() + "\nmpc.reserves = [\n1 3 10;\n];\n"
+    (tmp_path / "more.m").write_text(text)
+    (tmp_path / "more.yaml").write_text("network: {file: more.m}\n")
     code, out, err = call(command, tmp_path / name)
-    assert (code, out, err.startswith("error: "), "1 HVDC line" in err) == (2, "", True, True)
+    assert (code, out, err.startswith("error: "), "mpc.reserves" in err) == (2, "", True, True)
     code, _, err = call(command, tmp_path / name, *accept)
-    assert (code, err.startswith("warning: "), "1 HVDC line" in err) == (0, True, True)
+    assert (code, err.startswith("warning: "), "mpc.reserves" in err) == (0, True, True)
 
 
 def test_validate_reads_every_variant(call: Call, tmp_path: Path) -> None:

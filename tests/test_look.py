@@ -327,11 +327,10 @@ def test_convert_reports_what_it_wrote_and_lost(call: Call, tmp_path: Path, rich
 
 
 def test_convert_states_the_losses_of_reading(call: Call, tmp_path: Path) -> None:
-    source = tmp_path / "dc.m"
-    line = "1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;"
-    source.write_text((DATA / "matpower" / "case5.m").read_text() + f"\nmpc.dcline = [\n{line}\n];\n")
+    source = tmp_path / "more.m"
+    source.write_text((DATA / "matpower" / "case5.m").read_text() + "\nmpc.reserves = [\n1 3 10;\n];\n")
     code, _, err = call("convert", source, tmp_path / "a.yaml")
-    assert (code, "1 HVDC line" in err) == (2, True)
+    assert (code, "mpc.reserves" in err) == (2, True)
     code, out, _ = call("convert", source, tmp_path / "a.yaml", "--lossy", "--json")
     assert (code, len(json.loads(out)["losses"])) == (0, 1)
 
@@ -527,9 +526,8 @@ def test_a_file_is_overwritten_only_by_force(call: Call, tmp_path: Path) -> None
 
 
 def test_a_scenario_from_a_lossy_file_says_so(call: Call, tmp_path: Path) -> None:
-    source = tmp_path / "dc.m"
-    line = "1 3 1 10 8.9 0 0 1.01 1 1 10 -10 10 -10 10 1 0.01;"
-    source.write_text((DATA / "matpower" / "case5.m").read_text() + f"\nmpc.dcline = [\n{line}\n];\n")
+    source = tmp_path / "more.m"
+    source.write_text((DATA / "matpower" / "case5.m").read_text() + "\nmpc.reserves = [\n1 3 10;\n];\n")
     assert call("init", tmp_path / "a.yaml", "--from", source)[0] == 2
     assert call("init", tmp_path / "a.yaml", "--from", source, "--lossy")[0] == 0
     with warnings.catch_warnings():

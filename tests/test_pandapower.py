@@ -646,7 +646,6 @@ def add_dc_grid(net: Any) -> None:
     [
         (lambda net: pp.create_load(net, 1, 1, const_z_p_percent=40, const_i_q_percent=10),
          r"load 'load1': const_z_p_percent = 40, const_i_q_percent = 10: .* depends on the voltage"),
-        (lambda net: pp.create_dcline(net, 0, 1, 5, 1, 0.1, 1, 1), "dcline 'dcline0': a dc line; it is left out"),
         (lambda net: pp.create_svc(net, 1, 1, -10, 1, 90), "svc 'svc0': a static var compensator"),
         (lambda net: pp.create_ssc(net, 1, 0, 5), "ssc 'ssc0': a static synchronous compensator"),
         (lambda net: pp.create_tcsc(net, 0, 1, 1, -10, -5, 140), "tcsc 'tcsc0': a thyristor"),

@@ -317,7 +317,6 @@ def test_all_losses_are_listed_at_once() -> None:
     for loss in (
         "Bus 'heat': carrier = 'heat'",
         "Bus 'pole': carrier = 'DC'",
-        "Link 'pump'",
         "Process 'factory'",
         "GlobalConstraint 'co2'",
         "ramp_limit_up, ramp_limit_down: differ for 'unit'",
@@ -556,10 +555,10 @@ def test_a_scenario_runs_a_file_with_its_series_and_step(files: tuple[Path, Path
 
 def test_losses_of_files_are_refused_and_accepted(files: tuple[Path, Path]) -> None:
     path = files[1] / "links.csv"
-    path.write_text("name,bus0,bus1,p_nom\ncable,a,b,10\n")
-    with pytest.raises(CaseError, match=r"grid: .*Link 'cable': .*lossy"):
+    path.write_text("name,bus0,bus1,p_nom,efficiency\ncable,a,b,10,1.5\n")
+    with pytest.raises(CaseError, match=r"grid: .*Link efficiency of 'cable': .*lossy"):
         om.read_network(files[1])
-    with pytest.warns(CaseWarning, match=r"grid: lost: Link 'cable'"):
+    with pytest.warns(CaseWarning, match=r"grid: lost: Link efficiency of 'cable'"):
         om.read_network(files[1], lossy=True)
 
 

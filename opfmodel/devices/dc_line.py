@@ -42,6 +42,7 @@ class DCLineDevice(Device):
     """
 
     component = DCLine
+    waste = ("dc_line_loss",)
 
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``dc_line_forward``, ``dc_line_backward`` and the reactive power of converters."""

@@ -28,10 +28,14 @@ class Device:
     planned_only
         Whether it is a commitment of plans, such as a reserve, which no plant enforces: reality may call it
         up.
+    waste
+        Published quantities that a relaxation can make larger than they physically are, such as losses. Where
+        energy has no cost, a plant prices them.
     """
 
     component: type[Component]
     planned_only: ClassVar[bool] = False
+    waste: ClassVar[tuple[str, ...]] = ()
 
     def declare(self, model: Model, table: Table) -> None:
         """Declare variables, limits, injections and intertemporal coupling for all components of the kind."""

@@ -315,9 +315,7 @@ class ControllerSection(Section):
 
 
 class OutageSection(Section):
-    """A component that trips in the closed loop: one of `branch`, `generator`, `storage`, `renewable` and
-    `dc_line`.
-    """
+    """A component that trips in the closed loop, under the name of its kind."""
 
     branch: str | None = Field(None, description="name of a branch")
     generator: str | None = Field(None, description="name of a generator, in place of a branch")

@@ -40,6 +40,7 @@ COLUMNS = {
         "storage": "STORAGE_BUS PS QS ENERGY ENERGY_RATING CHARGE_RATING DISCHARGE_RATING "
         "CHARGE_EFFICIENCY DISCHARGE_EFFICIENCY THERMAL_RATING QMIN QMAX R X P_LOSS Q_LOSS STATUS",
         "dcline": "F_BUS T_BUS BR_STATUS PF PT QF QT VF VT PMIN PMAX QMINF QMAXF QMINT QMAXT LOSS0 LOSS1",
+        "dclinecost": "MODEL STARTUP SHUTDOWN NCOST",
     }.items()
 }
 SCALARS = ("baseMVA", "version")
@@ -47,7 +48,7 @@ SCALARS = ("baseMVA", "version")
 # represented, and APF, the share in an area's regulation, means nothing to a power flow or an optimum.
 _MORE_COLUMNS = "PC1 PC2 QC1MIN QC1MAX QC2MIN QC2MAX RAMP_AGC RAMP_10 RAMP_30 RAMP_Q APF"
 MORE_COLUMNS = tuple(_MORE_COLUMNS.split())
-HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel", "dclinecost"}
+HARMLESS = {"areas", "bus_name", "branch_name", "gen_name", "gentype", "genfuel"}
 
 EXACT = 2**53  # all integers up to this are exact in floating point
 BUS_NUMBERS = ("GEN_BUS", "F_BUS", "T_BUS", "STORAGE_BUS")
@@ -454,6 +455,8 @@ class _Checks:
         self._buses()
         if "gencost" in self.tables:
             self._costs(self.tables["gencost"])
+        if "dclinecost" in self.tables:
+            self._costs_of_dc_lines(self.tables["dclinecost"])
         if len(self.tables.get("gen", ())):
             self._more_columns(self.tables["gen"])
 
@@ -496,15 +499,30 @@ class _Checks:
             )
         if not len(costs):
             return
-        pairs = np.where(costs.column("MODEL") == 1, 2, 1)
-        counts = costs.column("NCOST")
+        self._terms(costs)
         fixed = len(COLUMNS["gencost"])
-        given = costs.values.shape[1] - fixed
-        self._require(costs, "NCOST", counts >= pairs, "must be at least 2 for a piecewise-linear cost")
-        self._require(costs, "NCOST", counts * pairs <= given, f"only {given} numbers follow in the row")
         if np.any(costs.values[generators:, fixed:]):
             line = costs.lines[generators]
             self.case.losses.append(f"line {line}: mpc.gencost: costs of reactive power are not represented")
+
+    def _costs_of_dc_lines(self, costs: Table) -> None:
+        """Check that there is one row per DC line, and that each has NCOST numbers or points."""
+        lines = len(self.tables.get("dcline", ()))
+        if len(costs) != lines:
+            raise CaseError(
+                f"{self.case.path}:{costs.line}: mpc.dclinecost has {len(costs)} rows for {lines} DC lines; "
+                "one per DC line is required"
+            )
+        if len(costs):
+            self._terms(costs)
+
+    def _terms(self, costs: Table) -> None:
+        """Check that each row of a table of costs has NCOST numbers or points."""
+        pairs = np.where(costs.column("MODEL") == 1, 2, 1)
+        counts = costs.column("NCOST")
+        given = costs.values.shape[1] - len(COLUMNS[costs.name])
+        self._require(costs, "NCOST", counts >= pairs, "must be at least 2 for a piecewise-linear cost")
+        self._require(costs, "NCOST", counts * pairs <= given, f"only {given} numbers follow in the row")
 
     def _more_columns(self, units: Table) -> None:
         """Report the columns of generators in service that are not represented and not zero."""

@@ -13,20 +13,21 @@ from opfmodel.network.cases.capability import COLUMNS, Trapezoid, trapezoid_of
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, FlexibleLoad, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, FlexibleLoad, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
 __all__ = ["find_losses", "tables_of", "write_network"]
 
-_WRITTEN = (Bus, Branch, Generator, Storage, Load, Shunt)  # kinds that a case has
+_WRITTEN = (Bus, Branch, DCLine, Generator, Storage, Load, Shunt)  # kinds that a case has
 
 
 def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> Path:
     """Write a network as a MATPOWER case, version 2.
 
     Buses keep their numbers if all names are positive integers, and are numbered from 1 otherwise.
-    Storages are written to the table ``mpc.storage`` of PowerModels.
+    Storages are written to the table ``mpc.storage`` of PowerModels, DC lines to ``mpc.dcline`` and, if they
+    have costs, ``mpc.dclinecost``.
 
     Parameters
     ----------
@@ -50,6 +51,9 @@ def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> 
     ids = {name: int(name) if plain else i for i, name in enumerate(names, start=1)}
     losses = Losses(str(path), writing=True)
     find_losses(network, losses)
+    for name, line in network.of(DCLine).items():
+        for loss in _losses_of_dc_line(line):
+            losses.add(f"{name}: {loss}")
     losses.settle(lossy)
     if not plain:
         warn(f"{path}: buses are numbered from 1 in order of declaration")
@@ -58,9 +62,10 @@ def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> 
     emitted = powerio.emit(module, "matpower")
     for diagnostic in emitted.diagnostics:
         warn(f"{path}: {diagnostic.message} [{diagnostic.code}]")
+    more = _dc_line_tables(network, ids) + _storage_table(path, network, ids)
     text = str(emitted.text).replace("mpc = from_ppc", f"mpc = {_identifier(path.stem)}")
     try:
-        replace({path: (text + _storage_table(path, network, ids)).encode()})
+        replace({path: (text + more).encode()})
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         raise CaseError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
     return path
@@ -153,6 +158,16 @@ def _losses_of_storage(storage: Storage) -> Iterator[str]:
         yield "capability is left out"
 
 
+def _losses_of_dc_line(line: DCLine) -> Iterator[str]:
+    if not line.in_service:
+        return
+    backward = line.constant("p_min") < 0
+    if backward and line.loss:
+        yield "in MATPOWER, power that flows backward gains by the loss"
+    if backward and line.cost and line.constant("p_max") > 0:
+        yield "in MATPOWER, the cost is earned on power that flows backward"
+
+
 def _regulated(network: Network) -> dict[str, bool]:
     """Whether the generators at each bus hold its voltage; idle ones count where there are no others."""
     regulated = {name: bus.reference for name, bus in network.of(Bus).items()}
@@ -234,6 +249,38 @@ def _cost_rows(generators: Iterable[Generator]) -> list[list[float]]:
             rows.append([2, 0, 0, 3, cost.c2, cost.c1, cost.c0])
     width = max((len(r) for r in rows), default=0)
     return [r + [0.0] * (width - len(r)) for r in rows]
+
+
+def _dc_line_tables(network: Network, ids: Mapping[str, int]) -> str:
+    """Return the tables of DC lines and, if there are any, of their costs."""
+    lines = network.of(DCLine).values()
+    if not lines:
+        return ""
+    columns = "fbus tbus status pf pt qf qt vf vt pmin pmax qminf qmaxf qmint qmaxt loss0 loss1"
+    rows, costs = [], []
+    for line in lines:
+        p, q_from, q_to = (
+            (line.constant(f"{key}_min"), line.constant(f"{key}_max")) for key in ("p", "q_from", "q_to")
+        )
+        stated = ((line.pf_set, p), (line.qf_set, q_from), (line.qt_set, q_to))
+        pf, qf, qt = (_set_point(value, 0.0, limits) for value, limits in stated)
+        ends = [_of_matpower(limit, line) for limit in p]
+        values = [
+            ids[line.from_bus], ids[line.to_bus], int(line.in_service), pf,
+            pf - line.loss_fixed - line.loss * pf, qf, qt, 1, 1, *ends, *q_from, *q_to,
+            line.loss_fixed, line.loss,
+        ]  # fmt: skip
+        rows.append("\t" + "\t".join(_plain(v) for v in values) + ";")
+        costs.append(f"\t2\t0\t0\t2\t{_plain(line.cost if p[1] > 0 else -line.cost)}\t0;")
+    text = ["", f"%column_names% {columns}", "mpc.dcline = [", *rows, "];", ""]
+    if any(line.cost for line in lines):
+        text += ["mpc.dclinecost = [", *costs, "];", ""]
+    return "\n".join(text)
+
+
+def _of_matpower(limit: float, line: DCLine) -> float:
+    """Return a limit of MATPOWER, which is one of the power that leaves at the to end if it is negative."""
+    return limit if limit >= 0 else limit / (1.0 - line.loss) - line.loss_fixed
 
 
 def _storage_table(path: Path, network: Network, ids: Mapping[str, int]) -> str:

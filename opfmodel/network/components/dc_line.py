@@ -10,9 +10,9 @@ from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
 from opfmodel.network.fields import at_bus, in_service, number, span
 
-__all__ = ["DCLine"]
+__all__ = ["MOST_LOSS", "DCLine"]
 
-_MOST_LOSS = 0.999  # the receiving end has at least a thousandth of what is sent
+MOST_LOSS = 0.999  # the receiving end has at least a thousandth of what is sent
 
 
 @component
@@ -44,7 +44,7 @@ class DCLine(Component):
         "",
         0.0,
         at_least=0.0,
-        at_most=_MOST_LOSS,
+        at_most=MOST_LOSS,
         series=False,
         description="Share of the power sent by either end that does not arrive at the other.",
     )

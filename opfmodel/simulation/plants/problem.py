@@ -202,11 +202,19 @@ class SetPoints(Objective):
         By quantity, $/h per p.u.; a price of zero only provides the set-point to devices that hold it.
     fields
         Fields of the network that differ from the declared ones, ``(items, 1)``.
+    waste
+        Price of quantities that a relaxation may raise, $/h per p.u.
     """
 
-    def __init__(self, prices: Mapping[Key, float], fields: Values | None = None) -> None:
+    def __init__(
+        self,
+        prices: Mapping[Key, float],
+        fields: Values | None = None,
+        waste: Mapping[Key, float] | None = None,
+    ) -> None:
         self.prices = prices
         self.fields = fields or {}
+        self.waste = waste or {}
 
     def series(self, network: PerUnitNetwork) -> Values:
         """Return set-points of zero, to be replaced by those of each plan, and the fields."""
@@ -221,7 +229,7 @@ class SetPoints(Objective):
         return made
 
     def stage_cost(self, stage: Stage) -> Any:
-        """Return the priced sum of absolute deviations; None if nothing has a price."""
+        """Return the priced sum of absolute deviations and of waste; None if nothing has a price."""
         cost: Any = None
         for (kind, name), price in self.prices.items():
             if price and stage.has(name):
@@ -229,6 +237,9 @@ class SetPoints(Objective):
                 change = getattr(quantities, name) - getattr(quantities, f"{name}_set")
                 distance = price * total(largest(change, -change))
                 cost = distance if cost is None else cost + distance
+        for (kind, name), price in self.waste.items():
+            wasted = price * total(getattr(getattr(stage, kind), name))
+            cost = wasted if cost is None else cost + wasted
         return cost
 
 

@@ -70,7 +70,13 @@ class Redispatch(ACPlant):
         # a small value of stored energy keeps lossy storage from charging and discharging at once
         end = End(price=0.01 * self.price)
         names = self.outages.components
-        self._set_points = SetPoints(prices, _limits(plan.problem) if names else {})
+        # more than an avoided redispatch is worth, so that a relaxation wastes no power to save one
+        waste = {
+            (device.component.kind, name): 2.0 * base * self.price
+            for device in plan.problem.devices
+            for name in device.waste
+        }
+        self._set_points = SetPoints(prices, _limits(plan.problem) if names else {}, waste)
         return one_stage(
             plan.problem,
             self._set_points,

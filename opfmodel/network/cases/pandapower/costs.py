@@ -56,6 +56,20 @@ class Costs:
             return PiecewiseLinear(tuple((-p, c) for p, c in reversed(cost.points)))
         return Polynomial(cost.c2, -cost.c1, cost.c0)
 
+    def of_dc_line(self, item: Row, forward: bool) -> float:
+        """Cost of the power that a DC line draws, $/MWh; what has another form is lost."""
+        found = self._rows.get(("dcline", item.index))
+        cost = Polynomial() if found is None else self._cost(item, *found)
+        if cost == Polynomial():
+            return 0.0
+        if forward and isinstance(cost, Polynomial) and cost.c1 >= 0 and not (cost.c2 or cost.c0):
+            return cost.c1
+        self.source.losses.add(
+            f"dcline {item.name!r}: its cost is left out; only cp1_eur_per_mw of a line that flows forward "
+            "is represented, at least 0"
+        )
+        return 0.0
+
     def given(self, table: str, item: Row) -> bool:
         """Whether an element has a cost other than zero."""
         found = self._rows.get((table, item.index))

@@ -75,15 +75,15 @@ class Grid:
         for index, row in self.row.items():
             self.names.setdefault(row, source.name("bus", index))
 
-    def at(self, item: Row) -> str:
-        """Name of the bus that stands for the bus of an element."""
-        return self.names[self.row_of(item)]
+    def at(self, item: Row, column: str = "bus") -> str:
+        """Name of the bus that stands for the bus of an element, or for another one that it names."""
+        return self.names[self.row_of(item, column)]
 
-    def row_of(self, item: Row) -> int:
+    def row_of(self, item: Row, column: str = "bus") -> int:
         """Row of the bus of an element."""
-        index = item.given("bus")
+        index = item.given(column)
         if index not in self.row:
-            raise CaseError(f"{item.label}: bus = {index:g}: no such bus")
+            raise CaseError(f"{item.label}: {column} = {index:g}: no such bus")
         return self.row[int(index)]
 
     def alive(self, row: int) -> bool:

@@ -26,7 +26,6 @@ def _columns(text: str) -> frozenset[str]:
 
 
 UNMODELLED: Mapping[str, str] = {
-    "dcline": "a dc line",
     "svc": "a static var compensator",
     "ssc": "a static synchronous compensator",
     "tcsc": "a thyristor-controlled series compensator",
@@ -54,6 +53,10 @@ READ: Mapping[str, frozenset[str]] = {
     "ext_grid": _columns(f"name bus vm_pu va_degree in_service controllable {_LIMITS}"),
     "storage": _columns(
         f"name bus p_mw q_mvar scaling in_service controllable soc_percent min_e_mwh max_e_mwh {_LIMITS}"
+    ),
+    "dcline": _columns(
+        "name from_bus to_bus p_mw loss_percent loss_mw vm_from_pu vm_to_pu max_p_mw min_q_from_mvar "
+        "max_q_from_mvar min_q_to_mvar max_q_to_mvar in_service"
     ),
     "motor": _columns("name bus pn_mech_mw loading_percent cos_phi efficiency_percent scaling in_service"),
     "asymmetric_load": _columns(
@@ -145,7 +148,7 @@ TABLES_IGNORED = frozenset({"measurement", "group"})
 
 ELEMENTS = (
     "bus", "line", "trafo", "trafo3w", "impedance", "switch", "load", "sgen", "gen", "ext_grid", "storage",
-    "motor", "asymmetric_load", "asymmetric_sgen", "shunt", "ward", "xward", *UNMODELLED,
+    "motor", "asymmetric_load", "asymmetric_sgen", "shunt", "ward", "xward", "dcline", *UNMODELLED,
 )  # fmt: skip
 """Tables whose rows have names."""
 

@@ -17,7 +17,7 @@ from opfmodel.network.cases.pandapower.grid import Grid
 from opfmodel.network.cases.pandapower.source import Row, Source
 from opfmodel.network.cases.pandapower.tables import CURVES
 from opfmodel.network.cases.warn import warn
-from opfmodel.network.components import Generator, Load, Shunt, Storage
+from opfmodel.network.components import DCLine, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network
 from opfmodel.network.polygon import fault_of
@@ -39,6 +39,8 @@ class Units:
         self.costs = costs
         self._unlimited: list[str] = []
         self._held: list[str] = []
+        self._dc_lines: list[str] = []
+        self._backward: list[str] = []
         self._drawn = np.zeros((len(grid.bus), 2))  # as the converter adds them, MW and MVAr
         self._shunts = np.zeros((len(grid.bus), 2))
 
@@ -62,6 +64,7 @@ class Units:
             "shunt": self._shunt,
             "ward": self._ward,
             "xward": self._extended_ward,
+            "dcline": self._dc_line,
         }
         for table, declare in kinds.items():
             for row in self.source.rows(table):
@@ -180,6 +183,33 @@ class Units:
                 in_service=row.in_service,
             ),
         )
+
+    def _dc_line(self, network: Network, row: Row) -> None:
+        """Declare a DC line, whose direction is the sign of its set-point.
+
+        In ``runopp``, the share that is lost is one of the power that arrives:
+        ``p_from = (1 + share) p_to + loss_mw``.
+        """
+        power, share = row.given("p_mw"), row.number("loss_percent", 0.0) / 100.0
+        fixed, forward = row.number("loss_mw", 0.0), power > 0.0
+        sending, receiving = ("from", "to") if forward else ("to", "from")
+        line = DCLine(
+            self.grid.at(row, f"{sending}_bus"),
+            self.grid.at(row, f"{receiving}_bus"),
+            p=(0.0, row.number("max_p_mw", math.inf)),
+            loss=share / (1.0 + share),
+            loss_fixed=fixed / (1.0 + share),
+            q_from=row.limits(f"q_{sending}_mvar"),
+            q_to=row.limits(f"q_{receiving}_mvar"),
+            cost=self.costs.of_dc_line(row, forward),
+            pf_set=abs(power),
+            in_service=row.in_service,
+        )
+        network.add(row.name, line)
+        if row.in_service:
+            self._dc_lines.append(row.name)
+            if not forward and (share or fixed):
+                self._backward.append(row.name)
 
     # Fixed demand -------------------------------------------------------------------------------------
 
@@ -329,6 +359,17 @@ class Units:
             warn(
                 f"{self.source.where}: storages that are not controllable hold their power: "
                 f"{listed(map(repr, self._held))}"
+            )
+        if self._dc_lines:
+            warn(
+                f"{self.source.where}: dc lines lose loss_percent of what arrives, as in runopp, not of what "
+                "is sent, as in runpp; in a power flow they hold no voltage: "
+                f"{listed(map(repr, self._dc_lines))}"
+            )
+        if self._backward:
+            warn(
+                f"{self.source.where}: dc lines with p_mw of at most 0 flow backward and lose power; in "
+                f"runopp they gain it: {listed(map(repr, self._backward))}"
             )
         if self._unlimited:
             warn(

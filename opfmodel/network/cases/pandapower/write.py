@@ -21,7 +21,7 @@ from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.cases.write import find_losses, tables_of
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear
 from opfmodel.network.network import Network
 from opfmodel.network.physics import branch_admittance
@@ -91,6 +91,9 @@ def _unsupported(network: Network) -> Iterator[str]:
     stored = [n for n, c in running.items() if isinstance(c, Storage)]
     if stored:
         yield f"storages {listed(stored)}"
+    direct = [n for n, c in running.items() if isinstance(c, DCLine)]
+    if direct:
+        yield f"dc lines {listed(direct)}"
     found = Losses("")
     find_losses(network, found)
     yield from (loss for loss in found if loss.partition(":")[0] not in {*stored, *curved})

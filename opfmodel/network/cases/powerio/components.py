@@ -13,7 +13,7 @@ from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.matpower import CaseFile
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
@@ -62,6 +62,12 @@ class Reader:
             self._add(f"shunt{bus}", shunt, "bus", self.bus_row.get(bus))
         for row, record in enumerate(records(self.case, "storage")):
             self._storage(row, record)
+        if self.source is not None:
+            lines = records(self.case, "hvdc")
+            for row, record in enumerate(lines):
+                self._dc_line(row, record)
+            if any(record["in_service"] for record in lines):
+                warn(f"{self.path}: DC lines hold no voltage in a power flow: VF and VT are not used")
         return self.network
 
     def _add(self, name: str, component: Component, table: str, row: int | None) -> None:
@@ -235,6 +241,61 @@ class Reader:
             "storage",
             row,
         )
+
+    def _dc_line(self, row: int, record: Mapping[str, Any]) -> None:
+        name, in_service = f"dcline{row + 1}", bool(record["in_service"])
+        fixed, share = record["loss0"], record["loss1"]
+        p = _at_from_end(record["pmin"], fixed, share), _at_from_end(record["pmax"], fixed, share)
+        if in_service and share and p[0] < 0:
+            self.losses.add(
+                f"{name}: LOSS1 = {share:g} with PMIN = {record['pmin']:g}: power that flows backward gains; "
+                "the loss of a DC line counts in both directions"
+            )
+        self._add(
+            name,
+            DCLine(
+                str(record["from"]),
+                str(record["to"]),
+                p=p,
+                loss=share,
+                loss_fixed=fixed,
+                q_from=(record["qminf"], record["qmaxf"]),
+                q_to=(record["qmint"], record["qmaxt"]),
+                cost=self._cost_of_dc_line(name, record["cost"], p) if in_service else 0.0,
+                pf_set=record["pf"],
+                qf_set=record["qf"],
+                qt_set=record["qt"],
+                in_service=in_service,
+            ),
+            "dcline",
+            row,
+        )
+
+    def _cost_of_dc_line(self, name: str, record: Mapping[str, Any] | None, p: tuple[float, float]) -> float:
+        """Return the cost of the power on a DC line, $/MWh; a cost of another form is lost."""
+        values = [] if record is None else [float(c) for c in record["coeffs"]][: int(record["ncost"])]
+        if not any(values):
+            return 0.0
+        sign = 1.0 if p[0] >= 0 else -1.0
+        linear = record is not None and record["model"] == 2 and not any((*values[:-2], values[-1]))
+        if linear and sign * values[-2] > 0 and not p[0] < 0 < p[1]:
+            return sign * values[-2]
+        self.losses.add(
+            f"{name}: its cost is left out; only one in proportion to the power that flows, at least 0, is "
+            "represented"
+        )
+        return 0.0
+
+
+def _at_from_end(limit: float, fixed: float, share: float) -> float:
+    """Return a limit of MATPOWER as one of the power that enters at the from end.
+
+    There it limits PF if it is positive, and PT if it is negative.
+    """
+    if limit >= 0:
+        return limit
+    received = limit + fixed
+    return received * (1.0 - share) if received <= 0 else received / (1.0 - share)
 
 
 def _emergency(record: Mapping[str, Any]) -> float | None:

@@ -100,10 +100,12 @@ def add_losses(case: Any, losses: Losses, *, every_field: bool) -> None:
     Parameters
     ----------
     every_field
-        Whether to check all fields and not only the kinds of equipment; a file that has been checked
-        before needs the latter only.
+        Whether to check all fields and not only the kinds of equipment; a MATPOWER file, which has been
+        checked before, needs the latter only. Its DC lines are represented.
     """
     for kind, what in _WHOLE.items():
+        if kind == "hvdc" and not every_field:
+            continue
         members = getattr(case, kind) if getattr(case, f"n_{kind}") else ()
         count = sum(1 for record in members if record["in_service"])
         if count:

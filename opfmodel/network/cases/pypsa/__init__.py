@@ -17,6 +17,7 @@ from opfmodel.network.cases.pypsa.snapshots import steps_of
 from opfmodel.network.cases.pypsa.source import PREFIXES, UNNAMED, Source
 from opfmodel.network.cases.pypsa.tables import check_tables
 from opfmodel.network.cases.warn import warn
+from opfmodel.network.components.dc_line import MOST_LOSS
 from opfmodel.network.costs import Cost
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series
@@ -40,8 +41,8 @@ def from_pypsa(
 
     Components keep their names. PyPSA's are unique within a class only: a name that several classes have
     stays with the bus, and the others are called ``line_NAME``, ``transformer_NAME``, ``generator_NAME``,
-    ``load_NAME``, ``storage_unit_NAME``, ``store_NAME`` and ``shunt_NAME``. Constant values are those of
-    the first snapshot. Impedances are per unit on 1 MVA, as in PyPSA.
+    ``load_NAME``, ``storage_unit_NAME``, ``store_NAME``, ``shunt_NAME`` and ``link_NAME``. Constant values
+    are those of the first snapshot. Impedances are per unit on 1 MVA, as in PyPSA. Links become DC lines.
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ def from_pypsa(
         ``(min, max)`` of the voltage magnitude, p.u., at buses without ``v_mag_pu_min`` or
         ``v_mag_pu_max``, which PyPSA leaves at 0 and infinity.
     free_dispatch
-        Take ``p_set`` of generators, storage units and stores for the set-point of a power flow only. By
-        default it also fixes their power, as in ``n.optimize()``.
+        Take ``p_set`` of generators, storage units, stores and links for the set-point of a power flow only.
+        By default it also fixes their power, as in ``n.optimize()``.
 
     Raises
     ------
@@ -143,6 +144,8 @@ def _find_losses(source: Source, losses: Losses) -> None:
     add_losses(source.n, kept, losses)
     for name in source.active("generators"):
         _add_ramp_losses(source, name, losses)
+    for name in source.active("links"):
+        _add_link_losses(source, name, losses)
     _add_cyclic_losses(source, losses)
 
 
@@ -160,6 +163,30 @@ def _add_ramp_losses(source: Source, name: str, losses: Losses) -> None:
         losses.add(
             f"Generator {'up_time_before' if np.isnan(start) else 'p_init'} of {str(name)!r}: the power "
             "before the first snapshot is free; MultiStage.solve(initial={'pg': ...}) gives it"
+        )
+
+
+def _add_link_losses(source: Source, name: str, losses: Losses) -> None:
+    """Report links that gain energy, or are paid for carrying power."""
+    efficiency, cost = (source.value("links", name, key) for key in ("efficiency", "marginal_cost"))
+    first = source.first("links", name, "efficiency")
+    if first > 1.0 or first < 1.0 - MOST_LOSS:
+        losses.add(
+            f"Link efficiency of {str(name)!r}: {first:g}: a DC line delivers at most what it is sent, and "
+            f"at least {1.0 - MOST_LOSS:g} of it"
+        )
+    backward = bool(np.any(source.link_power(name)[0] < 0))
+    if backward and np.any(efficiency != 1.0):
+        losses.add(
+            f"Link p_min_pu of {str(name)!r}: power that flows backward gains by the efficiency of "
+            f"{first:g}; the loss of a DC line counts in both directions"
+        )
+    if np.any(cost < 0):
+        losses.add(f"Link marginal_cost of {str(name)!r}: is negative; it is taken as 0")
+    if backward and np.any(cost != 0):
+        losses.add(
+            f"Link marginal_cost of {str(name)!r}: is earned on power that flows backward; a DC line costs "
+            "the same in both directions"
         )
 
 
@@ -192,7 +219,7 @@ def _note(source: Source, free_dispatch: bool) -> None:
         )
     fixed = [
         (class_name, member)
-        for class_name in ("generators", "storage_units", "stores")
+        for class_name in ("generators", "storage_units", "stores", "links")
         for member in source.active(class_name)
         if not np.isnan(source.value(class_name, member, "p_set")).all()
     ]

@@ -137,7 +137,20 @@ CLASSES: Mapping[str, Attributes] = {
         },
     ),
     "shunt_impedances": Attributes(used=_of("name bus g b active"), lost={"sign": _SIGN}),
-    "links": Attributes(whole="no component moves a chosen power between two buses"),
+    "links": Attributes(
+        used=_of("name bus0 bus1 p_nom p_min_pu p_max_pu p_set marginal_cost active"),
+        constant=_of("efficiency"),
+        unused=_NAMED - {"name"} | _PLANNING | _POWER_PLANNING | _COMMITMENT | _of("p_init cyclic_delay"),
+        lost={
+            "p_nom_extendable": _EXTENDABLE,
+            "committable": "its commitment is a decision; it is always on",
+            "marginal_cost_quadratic": "the cost of a DC line is linear",
+            "ramp_limit_up": "the power of a DC line has no ramp limit",
+            "ramp_limit_down": "the power of a DC line has no ramp limit",
+            "delay": "what a DC line sends arrives at once",
+            **dict.fromkeys(("bus2", "bus3", "bus4"), "a DC line has two ends"),
+        },
+    ),
     "processes": Attributes(whole="no component converts power between buses"),
     "global_constraints": Attributes(whole="it is no part of a network; add it with MultiStage.constrain"),
     # without effect unless another component refers to them

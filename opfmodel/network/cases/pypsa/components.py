@@ -13,7 +13,8 @@ from opfmodel.errors import CaseError
 from opfmodel.network.cases.pypsa.source import Array, Source, Value
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Shunt, Storage
+from opfmodel.network.components.dc_line import MOST_LOSS
 from opfmodel.network.costs import Polynomial
 from opfmodel.network.network import Network
 
@@ -67,6 +68,8 @@ class Converter:
             self._load(member)
         for member in source.members("shunt_impedances"):
             self._shunt(member)
+        for member in source.members("links"):
+            self._link(member)
         return self.network
 
     def _grid(self) -> Any:
@@ -276,6 +279,22 @@ class Converter:
         mva = float(self.source.static("buses").v_nom.at[row.bus]) ** 2  # of 1 S
         shunt = Shunt(str(row.bus), g=float(row.g) * mva, b=float(row.b) * mva, in_service=bool(row.active))
         self._add("shunt_impedances", member, shunt)
+
+    def _link(self, member: Any) -> None:
+        source, name = self.source, self.source.names["links", member]
+        row = source.static("links").loc[member]
+        p_set = source.value("links", member, "p_set")
+        low, high = self._fixed(p_set, *source.link_power(member))
+        line = DCLine(
+            str(row.bus0),
+            str(row.bus1),
+            p=(self._put(name, "p_min", low), self._put(name, "p_max", high)),
+            loss=min(max(1.0 - source.first("links", member, "efficiency"), 0.0), MOST_LOSS),
+            cost=self._put(name, "cost", np.maximum(source.value("links", member, "marginal_cost"), 0.0)),
+            pf_set=_first(p_set),
+            in_service=bool(row.active),
+        )
+        self._add("links", member, line)
 
 
 @cache

@@ -25,6 +25,7 @@ PREFIXES = {
     "storage_units": "storage_unit",
     "stores": "store",
     "shunt_impedances": "shunt",
+    "links": "link",
 }
 """Classes that are read besides buses, and the prefix of a name that components of several classes have."""
 UNNAMED = "Unnamed Network"
@@ -140,6 +141,13 @@ class Source:
         """Return the upward and downward ramp limits of a generator, per unit and snapshot; NaN for none."""
         up, down = (self.value("generators", name, f"ramp_limit_{way}") for way in ("up", "down"))
         return up, down
+
+    def link_power(self, name: Any) -> tuple[Value, Value]:
+        """Return the limits of the power that a link draws from its first bus, MW."""
+        p_nom = self.first("links", name, "p_nom")
+        low, high = (np.asarray(self.value("links", name, f"p_{end}_pu")) for end in ("min", "max"))
+        # 0 times infinity is 0
+        return tuple(np.where(pu == 0.0, 0.0, pu * np.where(pu == 0.0, 0.0, p_nom)) for pu in (low, high))  # type: ignore[return-value]
 
     def _check_numbers(self, components: Any) -> None:
         """Raise :class:`CaseError` for a text where PyPSA has a number; it accepts any, in time series."""
