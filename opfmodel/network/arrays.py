@@ -48,8 +48,8 @@ class Table:
 
     A quantity has shape ``(items, 1)``, or ``(items, stages)`` with a time series. A span field ``p``
     gives ``p_min`` and ``p_max``. A cost gives ``c2``, ``c1``, ``c0`` and, if piecewise linear, one row
-    per segment in ``segment_slope`` and ``segment_offset``. Bus positions (``bus``), the positions of the
-    owners of segments (``segment_owner``), flags and choices are vectors; see
+    per segment in ``segment_slope``, ``segment_offset`` and ``segment_begin``. Bus positions (``bus``), the
+    positions of the owners of segments (``segment_owner``), flags and choices are vectors; see
     :func:`opfmodel.network.fields.points` for those of a polygon. The ``status`` of a component that may go
     out is 1 in service and 0 while it is out.
 
@@ -430,7 +430,7 @@ def _table(
         array.flags.writeable = False
     units |= {name: field.unit for name, field in kind.table_fields().items()}
     if "segment_slope" in arrays:
-        units |= {"segment_slope": "$/MWh", "segment_offset": "$/h"}
+        units |= {"segment_slope": "$/MWh", "segment_offset": "$/h", "segment_begin": "MW"}
     if "status" in arrays:
         units |= {"status": ""}
     return Table(kind, tuple(members), arrays, units, base_mva)
@@ -460,19 +460,20 @@ def _with_weights(table: Table, tables: Mapping[str, Table], kept: Mapping[str, 
 def _cost_arrays(costs: list[Cost], base_mva: float) -> dict[str, npt.NDArray[Any]]:
     polynomials = [c if isinstance(c, Polynomial) else Polynomial() for c in costs]
     segments = [
-        (owner, slope, offset)
+        (owner, slope, offset, begin)
         for owner, cost in enumerate(costs)
         if isinstance(cost, PiecewiseLinear)
-        for slope, offset in cost.segments
+        for (slope, offset), (_, (begin, _)) in zip(cost.segments, cost.bends, strict=True)
     ]
-    lines = np.array(segments, dtype=float).reshape(-1, 3)
+    lines = np.array(segments, dtype=float).reshape(-1, 4)
     return {
         "c2": _column([p.c2 for p in polynomials]) * base_mva**2,
         "c1": _column([p.c1 for p in polynomials]) * base_mva,
         "c0": _column([p.c0 for p in polynomials]),
         "segment_owner": lines[:, 0].astype(np.intp),
         "segment_slope": lines[:, 1:2] * base_mva,
-        "segment_offset": lines[:, 2:].copy(),
+        "segment_offset": lines[:, 2:3].copy(),
+        "segment_begin": lines[:, 3:] / base_mva,
     }
 
 

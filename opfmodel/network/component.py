@@ -87,11 +87,14 @@ class Clocked(NamedTuple):
         Its value over a stage of several steps: ``mean``, ``min`` or ``max``.
     loosest
         The value with which programs are built, before it is known; of a limit, the loosest.
+    of
+        Optional field without which a component has no such quantity, which is then 0.
     """
 
     unit: str
     over: str = "mean"
     loosest: float = 0.0
+    of: str | None = None
 
 
 class Component:
@@ -148,10 +151,11 @@ class Component:
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` unless the component may be in service.
 
-        Checks the type and the rules of each field. A subclass calls this method first and then checks
-        its own rules.
+        Checks the type and the rules of each field, and that no number exceeds another one that limits it.
+        A subclass calls this method first and then checks its own rules.
         """
         raise_all(self._errors(name, {key: getattr(self, key) for key in self.fields()}, in_service=True))
+        raise_all(self._crossed(name))
 
     @classmethod
     def _errors(cls, name: str, values: Mapping[str, Any], in_service: bool) -> Iterator[ComponentError]:
@@ -165,6 +169,27 @@ class Component:
                         check_rules(name, key, values[key], metadata)
                 except ComponentError as error:
                     yield error
+
+    def _crossed(self, name: str) -> Iterator[ComponentError]:
+        """Yield the errors of numbers that exceed another one that limits them."""
+        for key, other in self.ordered():
+            value, limit = getattr(self, key), getattr(self, other)
+            if None not in (value, limit) and value > limit:
+                yield ComponentError(name, key, value, f"must be at most {other} = {limit:g}")
+
+    @classmethod
+    @cache
+    def ordered(cls) -> tuple[tuple[str, str], ...]:
+        """Pairs of numbers of which the first must not exceed the second.
+
+        Examples
+        --------
+        >>> from opfmodel.network import Storage
+        >>> Storage.ordered()
+        (('energy_min', 'energy'),)
+        """
+        pairs = ((key, item.metadata.get("not_above")) for key, item in cls.fields().items())
+        return tuple((key, other) for key, other in pairs if other is not None)
 
     def check_declared(self, name: str) -> None:
         """Raise :class:`ComponentError` unless a network may contain the component.
@@ -300,15 +325,23 @@ class Component:
         if of is not None and of.form == "span":
             pair = getattr(component, stem)
             return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))
-        if of is not None and of.form == "cost":
-            (cost,) = (
-                getattr(component, name) for name, item in known.items() if item.metadata["form"] == "cost"
-            )
-            if hasattr(cost, field):
-                return float(getattr(cost, field))
+        if field in component.of_cost:
+            return float(component.of_cost[field])
         span = field in known and known[field].metadata["form"] == "span"
-        known_numbers = f"it has {field}_min and {field}_max" if span else nearest(field, self.table_fields())
+        known_numbers = f"it has {field}_min and {field}_max" if span else nearest(field, self.numbers)
         raise ProfileError(f"a {self.kind} has no number {field!r}; {known_numbers}")
+
+    @property
+    def of_cost(self) -> Mapping[str, float]:
+        """Numbers of its cost functions that may have a time series, such as ``c1`` or ``slope_2``."""
+        costs = [getattr(self, key) for key, item in self.fields().items() if item.metadata["form"] == "cost"]
+        return {key: value for cost in costs for key, value in cost.numbers.items()}
+
+    @property
+    def numbers(self) -> list[str]:
+        """Names of the numbers that have a constant value and may have a time series."""
+        plain = [key for key, item in self.table_fields().items() if item.form in ("number", "span")]
+        return [*plain, *self.of_cost]
 
     @classmethod
     @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,6 +20,11 @@ POINT_UNITS = ("MW", "$/h")
 
 class Cost:
     """Convex cost of active-power generation, $/h."""
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Numbers that may have a time series, by name, in the units of :data:`COEFFICIENT_UNITS`."""
+        raise NotImplementedError
 
     def check_types(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless the parameters are numbers."""
@@ -43,6 +49,11 @@ class Polynomial(Cost):
     c1: float = 0.0
     c0: float = 0.0
 
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """The coefficients."""
+        return {"c2": self.c2, "c1": self.c1, "c0": self.c0}
+
     def check_types(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless the coefficients are numbers."""
         if not all(is_number(c) for c in (self.c2, self.c1, self.c0)):
@@ -60,6 +71,9 @@ class Polynomial(Cost):
 @dataclass(frozen=True)
 class PiecewiseLinear(Cost):
     """Convex piecewise-linear cost through given points; the outer segments extend beyond the ends.
+
+    Time series may replace the slopes of its segments, ``slope_1``, ``slope_2``, ...: the MW of the points
+    and the cost at the first one stay, and the cost is continuous. Successive segments of one slope are one.
 
     Parameters
     ----------
@@ -80,11 +94,29 @@ class PiecewiseLinear(Cost):
     @property
     def segments(self) -> list[tuple[float, float]]:
         """``(slope, offset)`` of each distinct segment; the cost is the maximum over these lines."""
-        lines: list[tuple[float, float]] = []
-        for (p, c), slope in zip(self.points[:-1], self.slopes, strict=True):
-            if not lines or not math.isclose(slope, lines[-1][0], rel_tol=1e-12, abs_tol=1e-12):
-                lines.append((slope, c - slope * p))
-        return lines
+        return [(slope, c - slope * p) for slope, (p, c) in self.bends]
+
+    @property
+    def bends(self) -> list[tuple[float, tuple[float, float]]]:
+        """Slope of each distinct segment, and the point where it begins."""
+        bends: list[tuple[float, tuple[float, float]]] = []
+        for point, slope in zip(self.points[:-1], self.slopes, strict=True):
+            if not bends or not math.isclose(slope, bends[-1][0], rel_tol=1e-12, abs_tol=1e-12):
+                bends.append((slope, point))
+        return bends
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Slope of each distinct segment, $/MWh: ``slope_1``, ``slope_2``, ...
+
+        Examples
+        --------
+        >>> PiecewiseLinear(((0, 0), (10, 200), (30, 900))).numbers
+        {'slope_1': 20.0, 'slope_2': 35.0}
+        """
+        if any(a[0] >= b[0] for a, b in pairwise(self.points)):
+            return {}  # invalid, of a component out of service
+        return {f"slope_{number}": slope for number, (slope, _) in enumerate(self.bends, 1)}
 
     def check_types(self, name: str, key: str) -> None:
         """Raise :class:`ComponentError` unless every point is a pair of numbers."""

@@ -55,6 +55,7 @@ def number(
     at_least: float = -INF,
     above: float = -INF,
     at_most: float = INF,
+    not_above: str | None = None,
     optional: bool = False,
     finite: bool = True,
     series: bool = True,
@@ -69,6 +70,8 @@ def number(
         One of :data:`opfmodel.network.units.UNITS`; determines the conversion to per unit.
     at_least, above, at_most
         Limits of the accepted values.
+    not_above
+        Another number of the component that this one must not exceed, in any step of a time series.
     optional
         Whether ``None`` is accepted; it means "no limit" and becomes infinity in the arrays.
     finite
@@ -87,6 +90,7 @@ def number(
         "at_least": at_least,
         "above": above,
         "at_most": at_most,
+        "not_above": not_above,
         "optional": optional,
         "finite": finite,
         "series": series,

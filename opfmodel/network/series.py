@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +12,9 @@ import numpy.typing as npt
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest, raise_all
-from opfmodel.network.arrays import PerUnitNetwork
+from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import LARGEST
 from opfmodel.network.component import Component
-from opfmodel.network.costs import PiecewiseLinear
 from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
@@ -61,15 +62,15 @@ def _fault_of_field(component: Component, key: SeriesKey) -> str:
     known, fixed = component.table_fields(), [*component.bus_fields(), "in_service"]
     if key.field in fixed or (key.field in known and not known[key.field].series):
         return f"the {key.field} of a {component.kind} is constant; it cannot have a time series"
-    if key.field not in known:
-        try:
-            component.constant(key.field)
-        except ProfileError as error:
-            return str(error)
-    if known[key.field].form == "cost" and isinstance(getattr(component, "cost", None), PiecewiseLinear):
-        return (
-            f"the cost of {key.component!r} is piecewise linear; only polynomial costs can have a time series"
-        )
+    if key.field in component.numbers:
+        return ""
+    if key.field in known and component.of_cost:
+        numbers = ", ".join(component.of_cost)
+        return f"the cost of {key.component!r} is piecewise linear; its numbers are {numbers}"
+    try:
+        component.constant(key.field)
+    except ProfileError as error:
+        return str(error)
     return ""
 
 
@@ -131,10 +132,13 @@ def _other_ends(component: Component, field: str) -> Iterator[tuple[str, bool]]:
     stem, _, end = field.rpartition("_")
     if end in ("min", "max") and stem in known and known[stem].metadata["form"] == "span":
         yield (f"{stem}_max", True) if end == "min" else (f"{stem}_min", False)
-    elif end == "min" and stem in known:
-        yield stem, True
-    elif f"{field}_min" in known:
-        yield f"{field}_min", False
+    # slopes of a convex cost do not decrease
+    slopes = [key for key in component.of_cost if key not in component.table_fields()]
+    for low, high in (*component.ordered(), *pairwise(slopes)):
+        if field == low:
+            yield high, True
+        elif field == high:
+            yield low, False
 
 
 # Arrays -------------------------------------------------------------------------------------------
@@ -142,7 +146,7 @@ def _other_ends(component: Component, field: str) -> Iterator[tuple[str, bool]]:
 
 def fields_with_series(profiles: Profiles, network: PerUnitNetwork) -> set[tuple[str, str]]:
     """``(kind, field)`` pairs for which a component in service has a series."""
-    return {(kind, key.field) for key, kind, _, _ in _placed(profiles, network)}
+    return {(placed.kind, placed.field) for placed in _placed(profiles, network)}
 
 
 def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
@@ -153,16 +157,16 @@ def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
     disregarded if other steps have a finite limit.
     """
     out: Fields = {}
-    for key, kind, position, values in _placed(profiles, network):
+    for _, kind, field, position, values in _placed(profiles, network):
         table = network.tables[kind]
-        item = table.kind.fields().get(key.field)
-        if not key.field.endswith(("_min", "_max")) and not (item and item.metadata.get("optional")):
+        item = table.kind.fields().get(field)
+        if not field.endswith(("_min", "_max")) and not (item and item.metadata.get("optional")):
             continue
-        limits = out.setdefault((kind, key.field), table.arrays[key.field].copy())
-        own = np.append(values / scale(table.units[key.field], network.base_mva), limits[position])
+        limits = out.setdefault((kind, field), table.arrays[field].copy())
+        own = np.append(values / scale(table.units[field], network.base_mva), limits[position])
         own = own[np.isfinite(own)]
         if own.size:
-            limits[position] = own.min() if key.field.endswith("_min") else own.max()
+            limits[position] = own.min() if field.endswith("_min") else own.max()
     return out
 
 
@@ -185,7 +189,7 @@ def window(
     """
     out: Fields = {}
     steps = np.arange(start, start + stages)
-    for key, kind, position, values in _placed(profiles, network):
+    for key, kind, field, position, values in _placed(profiles, network):
         if len(values) < start + stages and not repeats:
             raise ProfileError(
                 f"profile '{key}': has {len(values)} values; "
@@ -193,10 +197,10 @@ def window(
                 key,
             )
         table = network.tables[kind]
-        if (kind, key.field) not in out:
-            out[kind, key.field] = np.repeat(table.arrays[key.field], stages, axis=1)
-        factor = scale(table.units[key.field], network.base_mva)
-        out[kind, key.field][position] = values[steps % len(values)] / factor
+        if (kind, field) not in out:
+            out[kind, field] = np.repeat(table.arrays[field], stages, axis=1)
+        factor = scale(table.units[field], network.base_mva)
+        out[kind, field][position] = values[steps % len(values)] / factor
     return out
 
 
@@ -228,14 +232,58 @@ def check_clocked(
 def clocked_fields(arrays: PerUnitNetwork) -> list[tuple[str, str]]:
     """``(kind, field)`` pairs of the quantities that follow from the clock, of components in service."""
     return [
-        (kind, field) for kind, table in arrays.tables.items() if len(table) for field in table.kind.clocked
+        (kind, field)
+        for kind, table in arrays.tables.items()
+        for field, clocked in table.kind.clocked.items()
+        if len(table) and (clocked.of is None or np.isfinite(table.arrays[clocked.of]).any())
     ]
 
 
-def _placed(profiles: Profiles, network: PerUnitNetwork) -> Iterator[tuple[SeriesKey, str, int, Array]]:
-    """Series of components in service, with the kind and position of the component."""
+class _Placed(NamedTuple):
+    """A series, and the row of the arrays that it replaces."""
+
+    key: SeriesKey
+    kind: str
+    field: str
+    position: int
+    values: Array
+
+
+def _placed(profiles: Profiles, network: PerUnitNetwork) -> Iterator[_Placed]:
+    """Series of components in service, with the rows of the arrays that follow from them."""
+    bent: dict[str, Table] = {}
     for key, values in profiles.items():
         for kind, table in network.tables.items():
             if key.component in table.position:
-                yield key, kind, table.position[key.component], values
+                if key.field in table.arrays:
+                    yield _Placed(key, kind, key.field, table.position[key.component], values)
+                else:
+                    bent[key.component] = table
                 break
+    for name, table in bent.items():
+        yield from _segments(profiles, table, name)
+
+
+def _segments(profiles: Profiles, table: Table, name: str) -> Iterator[_Placed]:
+    r"""Lines of a piecewise-linear cost with series of slopes; see :class:`PiecewiseLinear`.
+
+    The cost at the first point stays, and it is continuous where segment i begins, at :math:`p_i`:
+
+    .. math::
+        b_1(t) = b_1 + (a_1 - a_1(t))\, p_1, \quad b_{i+1}(t) = b_i(t) + (a_i(t) - a_{i+1}(t))\, p_{i+1}
+    """
+    rows = np.flatnonzero(table.segment_owner == table.position[name])
+    keys = [SeriesKey(name, f"slope_{number}") for number in range(1, rows.size + 1)]
+    shortest = min((key for key in keys if key in profiles), key=lambda key: len(profiles[key]))
+    steps = len(profiles[shortest])
+    declared = table.segment_slope[rows] * scale("$/MWh", table.base_mva)
+    slopes = np.repeat(declared, steps, axis=1)
+    for own, key in zip(slopes, keys, strict=True):
+        if key in profiles:
+            own[:] = profiles[key][:steps]
+    begin = table.segment_begin[rows] * table.base_mva
+    moves = np.vstack([declared[:1] - slopes[:1], slopes[:-1] - slopes[1:]]) * begin
+    offsets = table.segment_offset[rows[0]] + np.cumsum(moves, axis=0)
+    for row, slope, offset in zip(rows.tolist(), slopes, offsets, strict=True):
+        yield _Placed(shortest, table.kind.kind, "segment_slope", row, slope)
+        yield _Placed(shortest, table.kind.kind, "segment_offset", row, offset)

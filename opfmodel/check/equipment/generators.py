@@ -49,9 +49,21 @@ class Generators(Equipment):
         costs, pg = replace(smooth, members=smooth.each("cost")), smooth.values("pg")
         rate = costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")
         rate = (rate * smooth.status()).sum(axis=0)
-        for cost, dispatch, status in zip(
-            linear.each("cost"), linear.values("pg"), linear.status(), strict=True
+        for name, cost, dispatch, status in zip(
+            linear.names, linear.each("cost"), linear.values("pg"), linear.status(), strict=True
         ):
-            slope, offset = np.array(cost.segments).T[:, :, None]
-            rate += status * (slope * dispatch + offset).max(axis=0)  # convex: the maximum over the segments
+            rate += status * self._of_segments(name, cost, dispatch)
         return np.asarray(rate)
+
+    def _of_segments(self, name: str, cost: PiecewiseLinear, dispatch: Array) -> Array:
+        """Piecewise-linear cost of a unit: from the first point on, with each slope from its bend on."""
+        (begin, rate), *_ = (point for _, point in cost.bends)
+        total: Array = np.full_like(dispatch, rate)
+        before: Array | float = 0.0
+        for number, (constant, (bend, _)) in enumerate(cost.bends, 1):
+            declared = self.checker.trajectories.declared
+            slope = declared(f"slope_{number}", [name], np.array([[constant]]), "mean")[0]
+            beyond = dispatch - begin if number == 1 else np.maximum(dispatch - bend, 0.0)
+            total = total + (slope - before) * beyond
+            before = slope
+        return total

@@ -42,7 +42,9 @@ class Storage(Component):
         series=False,
         description="Initial energy; none for the midpoint of energy_min and energy.",
     )
-    energy_min: float = number("MWh", 0.0, at_least=0.0, over="max", description="Minimum stored energy.")
+    energy_min: float = number(
+        "MWh", 0.0, at_least=0.0, not_above="energy", over="max", description="Minimum stored energy."
+    )
     charge_efficiency: float = number(
         "", 1.0, at_least=1e-3, at_most=1.0, series=False, description="Energy stored per energy drawn."
     )
@@ -95,10 +97,6 @@ class Storage(Component):
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks a rule or the energies are not in order."""
         super().check(name)
-        if self.energy_min > self.energy:
-            raise ComponentError(
-                name, "energy_min", self.energy_min, f"must be at most energy = {self.energy:g}"
-            )
         power, q = (pair if isinstance(pair, tuple) else (-pair, pair) for pair in (self.power, self.q))
         least = math.hypot(*(max(low, min(0.0, high)) for low, high in (power, q)))
         if self.rating is not None and least > self.rating:
