@@ -11,6 +11,7 @@ from .analysis.bound import (
 from .network import (
     Branch as Branch,
     Bus as Bus,
+    Connection as Connection,
     DCLine as DCLine,
     FlexibleLoad as FlexibleLoad,
     Generator as Generator,

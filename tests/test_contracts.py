@@ -73,7 +73,11 @@ def example(kind: str) -> Component:
     if kind == "storage":
         lossy = {"charge_efficiency": 0.9, "standing_loss": 0.01}
         corners = ((-2, -0.5), (0, -1), (2, -0.5), (2, 1), (-2, 1))
-        return om.Storage("x", energy=10, power=2, q=1, rating=2, capability=corners, **lossy)
+        wanted = {"throughput_cost": 2, "wanted": 8, "wanted_at": 2, "wanted_every": 2, "recovery_cost": 90}
+        limits = {"energy": 10, "energy_min": 6, "initial": 5, "power": 2, "q": 1, "rating": 2}
+        return om.Storage("x", capability=corners, **limits, **lossy, **wanted)
+    if kind == "connection":
+        return om.Connection("x", p=(-4, 20), q=(-5, 5), buy=50, sell=20, peak_cost=300, peak_hours=2, peak=1)
     if kind == "load":
         return om.Load("x", p=3, q=1, shed_cost=40)
     if kind == "flexible_load":

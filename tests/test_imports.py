@@ -10,14 +10,15 @@ import opfmodel
 
 PATHS = {
     "opfmodel.components": (
-        "BUILT_IN Branch Bus Component Cost DCLine FlexibleLoad Generator Load Network "
+        "BUILT_IN Branch Bus Component Connection Cost DCLine FlexibleLoad Generator Load Network "
         "PiecewiseLinear Polynomial Renewable Reserve Shunt Storage adjustable at_bus choice flag "
         "in_service number points span weights"
     ),
     "opfmodel.network": (
-        "Array Branch Bus Component Cost DCLine FlexibleLoad Generator Index Load Network "
-        "PerUnitNetwork PiecewiseLinear Polynomial Renewable Reserve Shunt Storage Table adjustable "
-        "at_bus choice flag number per_unit points read_network span weights write_network"
+        "Array Branch Bus Component Connection Cost DCLine FlexibleLoad Generator Index Load "
+        "Network PerUnitNetwork PiecewiseLinear Polynomial Renewable Reserve Shunt Storage Table "
+        "adjustable at_bus choice flag number per_unit points read_network span weights "
+        "write_network"
     ),
     "opfmodel.model": (
         "Bound BoundSource Device Elastic Injection Model NumericStage Price Published Quantities Stage State"

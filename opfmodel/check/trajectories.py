@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.calendar import shown_in
+from opfmodel.data.calendar import Calendar, Times, shown_in
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, ResultError
 from opfmodel.network.component import Component
@@ -26,6 +26,8 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating]
 Series = Mapping[Any, npt.ArrayLike]
 Bounds = tuple[Array, Array]
+
+_OVER: Mapping[str, Callable[..., Any]] = {"mean": np.mean, "min": np.min, "max": np.max}
 
 
 def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
@@ -91,14 +93,32 @@ class Trajectories:
         keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}
         changing = {i: self.series[key] for i, key in keys.items() if key in self.series}
         values = np.repeat(constants, len(self.times), axis=1) if changing else constants
-        over: Mapping[str, Callable[..., Any]] = {"mean": np.mean, "min": np.min, "max": np.max}
         for i, whole in changing.items():
             if len(whole) < end:
                 raise ProfileError(
                     f"profile {str(keys[i])!r}: has {len(whole)} values; {end} are needed", keys[i]
                 )
-            values[i] = [over[rule](whole[b:e]) for b, e in zip(self.begins, self.ends, strict=True)]
+            values[i] = [_OVER[rule](whole[b:e]) for b, e in zip(self.begins, self.ends, strict=True)]
         return values
+
+    def from_clock(self, items: Items, field: str) -> Array:
+        """Values of a quantity that follows from the time of day, ``(items, stages)``."""
+        moments = self.data["time"].values
+        base = float(self.data.attrs.get("step_hours", 1.0))
+        calendar, begins, ends = None, self.begins, self.ends
+        if np.issubdtype(moments.dtype, np.datetime64):
+            zone = str(self.data["time"].attrs.get("zone", "UTC"))
+            since = np.timedelta64(round(float(begins[0]) * base * 3600e9), "ns")
+            calendar = Calendar(moments[0] - since, base, zone)
+        else:  # hours are counted from step 0, whatever the position in the series
+            begins = begins - begins[0] + round(float(moments[0]) / base)
+            ends = begins + self.ends - self.begins
+        times = Times(np.arange(begins[0], ends[-1]), base, calendar)
+        made = np.zeros((len(items.names), len(self.times)))
+        for row, member in zip(made, items.members, strict=True):
+            steps, over = member.at_clock(times)[field], _OVER[member.over(field)]
+            row[:] = [over(steps[b:e]) for b, e in zip(begins - begins[0], ends - begins[0], strict=True)]
+        return made
 
 
 @dataclass(frozen=True)

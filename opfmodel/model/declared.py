@@ -108,6 +108,10 @@ class State:
         Blocks of rows that limit the change from the value before the first stage.
     ends
         Whether terminal conditions apply to a stock.
+    capacity
+        Upper limit of a stock without what may exceed it, of which terminal conditions state a share.
+    peak
+        Whether it is the maximum of a quantity so far; see :meth:`Model.peak`.
     """
 
     name: str
@@ -118,6 +122,8 @@ class State:
     ramped: Index | None = None
     first: tuple[str, ...] = ()
     ends: bool = False
+    capacity: Bound = np.inf
+    peak: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -218,7 +219,8 @@ class Model:
         low, high = source.resolve(table)
         if start is None:
             start = _middle(low, high)
-        if soft is None or self.elastic is None:
+        limited = np.isfinite(low).any() or np.isfinite(high).any()
+        if soft is None or self.elastic is None or not limited:
             values = self.build.variable(name, len(table), self._columns(nodes), low, high, start)
             self.bounds[name] = source
         else:
@@ -392,6 +394,7 @@ class Model:
         description: str = "",
         initial: str | None = None,
         ends: bool = True,
+        capacity: Bound | None = None,
     ) -> tuple[Expression, Expression]:
         """Declare a stored quantity, with its initial value and its value at the end of each stage.
 
@@ -404,6 +407,8 @@ class Model:
             Whether the terminal conditions of stored energy apply, to a quantity in MWh. The rows that tie
             the end of the horizon to its beginning are free unless a solve requires a cyclic end, and the
             final value is worth nothing unless a solve sets its price.
+        capacity
+            What a terminal condition states a share of, if that is not the upper bound.
 
         Returns
         -------
@@ -418,9 +423,58 @@ class Model:
         self.publish(kind, name, start, unit=unit, description=f"{description} at the start of a stage")
         self.publish(kind, f"{name}_next", end, unit=unit, description=f"{description} at the end of a stage")
         ends = ends and unit == "MWh"
-        self.states[name] = State(name, kind, unit, "stock", initial, ends=ends)
+        most = upper if capacity is None else capacity
+        self.states[name] = State(name, kind, unit, "stock", initial, ends=ends, capacity=most)
         if ends:
             self._end(kind, name, values, self.leaves(end))
+        return start, end
+
+    def peak(
+        self,
+        kind: str,
+        name: str,
+        values: Expression,
+        kept: Any,
+        *,
+        unit: str,
+        description: str = "",
+        initial: str | None = None,
+    ) -> tuple[Expression, Expression]:
+        r"""Declare the maximum of a quantity so far as a stock, in every stage but contingencies.
+
+        .. math::
+            m(k + 1) \ge kept(k)\, m(k), \quad m(k + 1) \ge x(k)
+
+        Plans report the smallest such values. A solver may leave them larger, because a cost of the increase
+        adds up to that of the final value, whenever it increases.
+
+        Parameters
+        ----------
+        values
+            The quantity :math:`x`.
+        kept
+            1, or 0 in a stage in which the maximum is counted anew.
+        initial
+            Field with the default initial value.
+
+        Returns
+        -------
+        Expression, Expression
+            The values at the start and at the end of each stage.
+        """
+        start, end = self.stock(
+            kind, name, -np.inf, np.inf, unit=unit, description=description, initial=initial, ends=False
+        )
+        self.states[name] = replace(self.states[name], peak=True)
+        regular, after = np.arange(len(self.horizon.regular)), self.horizon.contingencies
+        above = end - kept * start
+        self.rows(kind, f"{name}_kept", above[:, regular], 0.0, np.inf, nodes=regular)
+        self.rows(kind, f"{name}_met", (end - values)[:, regular], 0.0, np.inf, nodes=regular)
+        if after.size:
+            self.rows(kind, f"{name}_after", (end - start)[:, after], 0.0, 0.0, nodes=after)
+        zero = np.zeros((end.items, self.stages))
+        self.build.output(f"{name} kept", self.build.expression(kept + zero))
+        self.build.output(f"{name} met", values + zero)
         return start, end
 
     def _end(self, kind: str, name: str, values: Expression, last: Expression) -> None:

@@ -10,6 +10,7 @@ from .cases import write_network as write_network
 from .component import Component as Component
 from .components import Branch as Branch
 from .components import Bus as Bus
+from .components import Connection as Connection
 from .components import DCLine as DCLine
 from .components import FlexibleLoad as FlexibleLoad
 from .components import Generator as Generator

@@ -43,6 +43,7 @@ class Numbers:
     ) -> None:
         self.model = model
         self.program = program
+        self.network = network
         self.begin, self.freed = begin, freed
         self.parameters: dict[str, Array] = {
             name: number_of(resolved(network.tables[kind], value), network)
@@ -102,10 +103,13 @@ class Numbers:
                 lower, upper = self._bounds(f"{name}_cyclic")
                 lower[~out] = upper[~out] = 0.0
             if end.minimum > 0:
-                lower, upper = self._bounds(f"{name}_limit" if self.model.elastic is not None else name)
-                last = self.model.horizon.leaves + 1
+                limited = f"{name}_limit" in self.program.rows  # in an elastic problem
+                lower, _ = self._bounds(f"{name}_limit" if limited else name)
+                leaves = self.model.horizon.leaves
+                capacity = resolved(self.network.tables[state.kind], state.capacity)
+                capacity = np.broadcast_to(capacity, (len(lower), self.model.stages))[:, leaves]
                 least = np.where(out[:, None], 0.0, end.minimum)
-                lower[:, last] = np.maximum(lower[:, last], least * upper[:, last])
+                lower[:, leaves + 1] = np.maximum(lower[:, leaves + 1], least * capacity)
             price = end.price / scale(f"$/{state.unit}", self.model.network.base_mva)
             self.parameters[f"{name}_end_price"] = np.array([price])
 

@@ -24,7 +24,8 @@ from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
-from opfmodel.network.components import BUILT_IN
+from opfmodel.network.component import Component
+from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series, window
 from opfmodel.plan.power_flow_result import PowerFlowResult
@@ -36,6 +37,7 @@ __all__ = ["PowerFlowResult", "power_flow"]
 
 Array = npt.NDArray[np.float64]
 SLACKS = ("single", "distributed")
+_TAKEN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
 
 
 def power_flow(
@@ -125,10 +127,10 @@ def power_flow(
 
 def _refuse_others(network: PerUnitNetwork) -> None:
     for table in network.tables.values():
-        if table.kind not in BUILT_IN and len(table):
+        if table.kind not in _TAKEN and len(table):
+            taken = ", ".join(kind.plural for kind in _TAKEN)
             raise ModelError(
-                f"{table.names[0]}: {table.kind.plural} have no set-points; "
-                "a power flow takes the components of this package only"
+                f"{table.names[0]}: {table.kind.plural} have no set-points; a power flow takes {taken}"
             )
 
 

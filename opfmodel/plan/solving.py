@@ -18,6 +18,7 @@ from opfmodel.plan.compiled import Compiled
 from opfmodel.plan.nodes import at_nodes, mean_of_futures
 from opfmodel.plan.numbers import Numbers
 from opfmodel.plan.outages import free_rows, idle, lost_fields, status_at, without
+from opfmodel.plan.peaks import with_least_peaks
 from opfmodel.plan.request import Limits, Request
 from opfmodel.plan.result import Plan
 from opfmodel.plan.security import at_contingencies
@@ -105,6 +106,7 @@ def solved(
         As for :func:`posed`.
     """
     _check(request, problem, compiled, previous)
+    model = compiled.model
     instance, network = posed(problem, compiled, request, limits)
     begin = _begin(problem, request)
     start, effort = _from_previous(previous, compiled.program, request, begin, multipliers), 0.0
@@ -112,7 +114,9 @@ def solved(
         start, effort = _from_expected(problem, compiled, request, network)
     solution = compiled.session.solve(instance, start)
     solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
-    return Plan(problem, compiled.model, solution, network, request)
+    if solution.status.is_optimal:
+        solution = with_least_peaks(model, solution)
+    return Plan(problem, model, solution, network, request)
 
 
 def _begin(problem: MultiStage, request: Request) -> int:

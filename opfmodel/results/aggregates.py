@@ -38,8 +38,9 @@ def generation(data: xr.Dataset) -> Any:
 
 
 def injections(data: xr.Dataset) -> list[str]:
-    """Names of the injections of devices from other packages: ``<kind>_p``."""
-    return [str(n) for n in data if str(n).endswith("_p") and data[n].dims == (stages(data), "bus")]
+    """Names of the injections of further kinds, ``<kind>_p``, by component or summed at the buses."""
+    named = [str(n) for n in data if str(n).endswith("_p")]
+    return [n for n in named if data[n].dims in {(stages(data), at) for at in ("bus", n.removesuffix("_p"))}]
 
 
 def members(data: xr.Dataset, kind: str, bus: str) -> list[str]:

@@ -78,6 +78,10 @@ LIMITS = {
     "dc_line_qt": Limit(
         "dc_line", "MVAr", "reactive power at the to end", lambda t: t.q_to_min, lambda t: t.q_to_max
     ),
+    "connection_p": Limit("connection", "MW", "imported active power", lambda t: t.p_min, lambda t: t.p_max),
+    "connection_q": Limit(
+        "connection", "MVAr", "injected reactive power", lambda t: t.q_min, lambda t: t.q_max
+    ),
     "e": Limit("storage", "MWh", "stored energy", lambda t: t.energy_min, lambda t: t.energy),
 }
 """Quantities whose limits a dataset has as ``<quantity>_min`` and ``<quantity>_max``."""

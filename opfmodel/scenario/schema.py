@@ -231,6 +231,7 @@ class ContingenciesSection(Section):
     storages: list[str] = Field(default_factory=list, description="names or patterns of storages")
     renewables: list[str] = Field(default_factory=list, description="names or patterns of renewables")
     dc_lines: list[str] = Field(default_factory=list, description="names or patterns of DC lines")
+    connections: list[str] = Field(default_factory=list, description="names or patterns of connections")
 
 
 class SecuritySection(Section):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.connections import Connections
 from opfmodel.check.equipment.dc_lines import DCLines
 from opfmodel.check.equipment.flexible_loads import FlexibleLoads
 from opfmodel.check.equipment.generators import Generators
@@ -21,6 +22,7 @@ EQUIPMENT: tuple[type[Equipment], ...] = (
     Generators,
     Renewables,
     Storages,
+    Connections,
     Loads,
     FlexibleLoads,
     Shunts,

@@ -104,6 +104,9 @@ def find_losses(network: Network, losses: Losses) -> None:
     for name in network:
         for loss in _losses_of(network[name]):
             losses.add(f"{name}: {loss}")
+    for name, storage in network.of(Storage).items():
+        for loss in _losses_of_storage(storage):
+            losses.add(f"{name}: {loss}")
     regulated = _regulated(network)
     for name, generator in network.of(Generator).items():
         if generator.in_service and generator.regulates != regulated[generator.bus]:
@@ -152,6 +155,8 @@ def _losses_of_branch(branch: Branch) -> Iterator[str]:
 def _losses_of_storage(storage: Storage) -> Iterator[str]:
     if storage.standing_loss or storage.energy_min:
         yield "standing_loss and energy_min are left out"
+    if storage.throughput_cost or storage.wanted is not None or storage.recovery_cost is not None:
+        yield "throughput_cost, wanted and recovery_cost are left out"
     if storage.exclusive:
         yield "exclusive is left out"
     if storage.capability is not None:

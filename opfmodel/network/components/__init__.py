@@ -9,6 +9,7 @@ from __future__ import annotations
 from opfmodel.network.component import Component
 from opfmodel.network.components.branch import Branch
 from opfmodel.network.components.bus import Bus
+from opfmodel.network.components.connection import Connection
 from opfmodel.network.components.dc_line import DCLine
 from opfmodel.network.components.flexible_load import FlexibleLoad
 from opfmodel.network.components.generator import Generator
@@ -22,6 +23,7 @@ __all__ = [
     "BUILT_IN",
     "Branch",
     "Bus",
+    "Connection",
     "DCLine",
     "FlexibleLoad",
     "Generator",
@@ -39,6 +41,7 @@ BUILT_IN: tuple[type[Component], ...] = (
     Generator,
     Renewable,
     Storage,
+    Connection,
     Load,
     FlexibleLoad,
     Shunt,

@@ -10,7 +10,7 @@ from opfmodel.devices.held import HeldFlexibleLoads, HeldGenerators, HeldStorage
 from opfmodel.devices.load import per_active_power, sheddable
 from opfmodel.errors import ModelError, nearest
 from opfmodel.model import Device, Model
-from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.arrays import Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import FlexibleLoad, Generator, Load, Storage
 from opfmodel.network.shares import WIDE, divide
@@ -43,7 +43,8 @@ class PowerFlow(ACPlant):
         p^g_i = \hat p^g_i + \gamma_i s
 
     Buses with generators hold the voltage magnitude of the plan or, if the plan has none,
-    1 p.u. clipped to the limits of the bus. The generators of a bus share its reactive power in
+    1 p.u. clipped to the limits of the bus; in an island without generators, a connection to another grid
+    does so and covers the balance, within its limits. The generators of a bus share its reactive power in
     proportion to their ranges. Storages hold ``ps`` and ``qs``, zero if the plan has none. A set-point
     above the available power is reduced to it. Of each load the same share is shed as in the plan.
 
@@ -107,7 +108,7 @@ class PowerFlow(ACPlant):
         held = window["generator", "pg_set"]
         window["generator", "pg_set"] = np.minimum(held, network.generator.p_max)
         low, high = network.bus.vm_min, network.bus.vm_max
-        at = np.unique(network.generator.bus[network.generator.status[:, 0] > 0])
+        at = _holding(network)
         wanted = plan.quantities().get(("bus", "vm"), np.ones((len(network.bus), 1)))[:, :1]
         least, most = np.full_like(wanted, _LEAST_VM), np.full_like(wanted, _MOST_VM)
         least[at] = most[at] = np.clip(wanted, low, high)[at]
@@ -139,6 +140,15 @@ class _HeldLoads(Device):
             unit, text = DESCRIBED[name]
             model.publish("load", name, power, unit=unit, description=text)
         model.inject(table.bus, p=active, q=reactive)
+
+
+def _holding(network: PerUnitNetwork) -> Index:
+    """Return the buses that hold their voltage: of generators, in islands without them of connections."""
+    units, connections = network.generator, network.tables["connection"]
+    generating = units.bus[units.status[:, 0] > 0]
+    alone = ~np.isin(network.island[connections.bus], network.island[generating])
+    moves = (connections.q_min < connections.q_max)[:, 0]
+    return np.unique(np.concatenate([generating, connections.bus[alone & moves]]))
 
 
 def _without_limits(network: PerUnitNetwork) -> Values:
