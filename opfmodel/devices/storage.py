@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.devices.capability import active_bounds, limit_to_capability
 from opfmodel.errors import IncompatibleError
-from opfmodel.model import Bound, BoundSource, Device, Model
+from opfmodel.model import Bound, BoundSource, Device, Model, Soft, Stage
 from opfmodel.network.arrays import Array, Index, Table
 from opfmodel.network.components import Storage
-from solvers import Expression, Rows
+from solvers import Expression, Rows, largest, total
 
 __all__ = ["StorageDevice"]
 
@@ -28,6 +32,11 @@ class StorageDevice(Device):
     which is a relaxation: simultaneous charging and discharging wastes energy, and pays only
     where energy has a negative value. ``exclusive`` forbids it (:math:`p^c p^d \le \epsilon`), at
     the price of a non-convex row.
+
+    Energy that is wanted at an hour is a minimum of :math:`e(k+1)` in the stage that ends then. With a
+    recovery cost the limits of energy give way to :math:`\underline e - o \le e(k+1) \le \bar e + o`.
+
+    Cost: :math:`\pi_t |p^s| + \pi_r o`.
     """
 
     component = Storage
@@ -38,9 +47,14 @@ class StorageDevice(Device):
         rated: tuple[Bound, Bound] = (_lowest, _highest)
         low, high = active_bounds(model, table, *(("power_min", "power_max") if model.reactive else rated))
         ps = model.variable("storage", "ps", low, high, unit="MW", description="charging power")
+        recovers = np.isfinite(table.recovery_cost[:, 0])
+        limits: tuple[Bound, Bound] = ("energy_min", "energy")
+        if recovers.any():
+            limits = _hard(recovers, "energy_min", -np.inf), _hard(recovers, "energy", np.inf)
         e, e_next = model.stock(
-            "storage", "e", "energy_min", "energy", initial="initial", unit="MWh", description="stored energy"
-        )
+            "storage", "e", *limits,
+            initial="initial", unit="MWh", description="stored energy", capacity="energy",
+        )  # fmt: skip
         qs = None
         if model.reactive:
             qs = model.variable(
@@ -53,6 +67,9 @@ class StorageDevice(Device):
                 model.regularise(power)
         if not n:
             return
+        self._want(model, table, e_next)
+        if recovers.any():
+            self._recover(model, recovers, e_next)
         model.price(
             "storage",
             "e_price",
@@ -86,6 +103,59 @@ class StorageDevice(Device):
             )
 
     @staticmethod
+    def _want(model: Model, table: Table, e_next: Expression) -> None:
+        """State the energy that is wanted at given hours, in every stage but contingencies."""
+        wanted = np.flatnonzero(np.isfinite(table.wanted))
+        if not wanted.size:
+            return
+        regular = np.arange(len(model.horizon.regular))
+        soft = Soft("wanted energy", wanted, "MWh", "is {} short of what is wanted", price="balance")
+
+        def least(t: Table) -> Array:
+            return np.asarray(t.energy_wanted[wanted])
+
+        model.rows("storage", "e_wanted", e_next[wanted][:, regular], least, np.inf, soft, regular)
+
+    @staticmethod
+    def _recover(model: Model, recovers: npt.NDArray[np.bool_], e_next: Expression) -> None:
+        """Declare the energy outside the limits of storages that may recover, in every stage."""
+        outside = model.variable(
+            "storage", "storage_outside", 0.0, np.where(recovers, np.inf, 0.0)[:, None],
+            unit="MWh", description="stored energy outside its limits at the end of a stage", start=0.0,
+        )  # fmt: skip
+        items = np.flatnonzero(recovers)
+
+        def low(t: Table) -> Array:
+            return np.asarray(t.energy_min[items])
+
+        def high(t: Table) -> Array:
+            return np.asarray(t.energy[items])
+
+        model.rows("storage", "e_recovery_low", e_next[items] + outside[items], low, np.inf)
+        model.rows("storage", "e_recovery_high", e_next[items] - outside[items], -np.inf, high)
+        after = model.horizon.contingencies
+        if after.size:  # it costs nothing there
+            more = outside[items][:, after] - outside[items][:, model.horizon.owner[after]]
+            model.rows("storage", "e_recovery_after", more, -np.inf, 0.0, nodes=after)
+
+    def cost(self, stage: Stage) -> Any:
+        """Return the cost of throughput and of energy outside its limits, $/h; None without either."""
+        storage, cost = stage.storage, None
+        rate = storage.throughput_cost
+        priced: Any = slice(None)
+        if not isinstance(rate, Expression):
+            priced = np.flatnonzero(rate.any(axis=1))
+            rate = rate[priced]
+        if rate.shape[0]:
+            ps = storage.ps[priced]
+            cost = total(rate * largest(ps, -ps))
+        recovery = np.where(np.isfinite(storage.recovery_cost), storage.recovery_cost, 0.0)
+        if recovery.any() and stage.has("storage_outside"):
+            recovering = total(recovery * storage.storage_outside)
+            cost = recovering if cost is None else cost + recovering
+        return cost
+
+    @staticmethod
     def _split(model: Model, table: Table, split: Index, dynamics: Rows, ps: Expression) -> None:
         """Split the power of storages with losses into charging and discharging."""
         n, stages, step = split.size, model.stages, model.step
@@ -110,6 +180,11 @@ class StorageDevice(Device):
             least = _OVERLAP * most_charge[exclusive] * most_discharge[exclusive]
             rows = model.build.rows("storage_exclusive", exclusive.size, stages, -np.inf, least)
             model.build.add(charge[exclusive] * discharge[exclusive], into=rows)
+
+
+def _hard(recovers: npt.NDArray[np.bool_], field: str, free: float) -> Callable[[Table], Array]:
+    """Return a limit of the energy that only storages without a recovery cost have."""
+    return lambda table: np.where(recovers[:, None], free, table.arrays[field])
 
 
 def _lowest(table: Table) -> Array:

@@ -37,8 +37,17 @@ class Storages(Equipment):
         """Check energy limits and the energy balance of each storage."""
         checker, units = self.checker, self.items
         e, e_next = units.values("e"), units.values("e_next")
-        limits = units.number("energy_min"), units.number("energy")
-        checker.inside("storage energy", units, e_next, limits, "MWh")
+        recovers = np.isfinite(units.constant("recovery_cost"))
+        checker.note("storage energy", units.names, np.where(recovers, -np.inf, self._outside(e_next)), "MWh")
+        wanted = units.where(np.isfinite(units.constant("wanted"))[:, 0])
+        if wanted.names:
+            least = checker.trajectories.from_clock(wanted, "energy_wanted")
+            checker.note("wanted energy", wanted.names, least - wanted.values("e_next"), "MWh")
+        if checker.has("storage_outside"):
+            outside, reported = np.maximum(self._outside(e_next), 0.0), units.values("storage_outside")
+            checker.note(
+                "storage outside", units.names, np.where(recovers, np.abs(reported - outside), 0.0), "MWh"
+            )
         checker.continuous("energy continuity", units, e, e_next, "MWh")
         stored = (e_next - (1 - units.constant("standing_loss") * checker.hours) * e) / checker.hours
         # a given net power stores the most energy without simultaneous charging and discharging
@@ -49,6 +58,23 @@ class Storages(Equipment):
         checker.note("storage dynamics", units.names, excess, "MW")
         wasted = np.divide(most - stored, drain - gain, out=np.zeros_like(ps), where=lossy).max(axis=1)
         checker.report.simultaneous = float(np.fmax.reduce(wasted, initial=0.0)) / checker.base
+
+    def _outside(self, e_next: Array) -> Array:
+        """Distance of the energy from its range at the end of each stage, MWh; negative within it."""
+        low, high = self.items.number("energy_min"), self.items.number("energy")
+        return np.asarray(np.maximum(low - e_next, e_next - high))
+
+    def cost_rate(self) -> Array | float:
+        """Cost of throughput, and of energy outside its limits."""
+        units, has = self.items, self.checker.has
+        rate = np.zeros(len(self.checker.hours))
+        if units.names:
+            rate += (units.number("throughput_cost") * np.abs(units.values("ps"))).sum(axis=0)
+        price = units.constant("recovery_cost")
+        price = np.where(np.isfinite(price), price, 0.0)
+        if price.any() and has("e_next"):
+            rate += (price * np.maximum(self._outside(units.values("e_next")), 0.0)).sum(axis=0)
+        return rate
 
     def power(self) -> Iterator[tuple[list[str], Complex]]:
         """Yield what is discharged."""
