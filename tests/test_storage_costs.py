@@ -54,7 +54,7 @@ def energies(plan: om.Plan) -> Any:
 
 
 @given(st.integers(0, 10_000), st.sampled_from([1.0, 0.9]))
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_throughput_costs_what_a_linear_program_says(seed: int, efficiency: float) -> None:
     rng = np.random.default_rng(seed)
     n, hours = 6, rng.choice([1.0, 2.0], 6)
@@ -200,7 +200,7 @@ def test_a_capacity_that_falls_is_left_over_time() -> None:
 
 
 def test_recovery_goes_with_ends_and_soft_limits_and_outages() -> None:
-    network = shop(energy_min=4, recovery_cost=50, initial=2)
+    network = shop(energy_min=4, recovery_cost=50, initial=2, wanted=5, wanted_at=3)
     network.gas = om.Generator("a", p=(0, 9), q=(0, 0), cost=om.Polynomial(0, 90, 0))
     full = solved(network, 3, end=om.End(minimum=0.9))
     assert energies(full)[-1] == pytest.approx(9, abs=1e-5)
@@ -213,6 +213,7 @@ def test_recovery_goes_with_ends_and_soft_limits_and_outages() -> None:
     )
     assert gone.optimal
     assert energies(gone) == pytest.approx([2, 2, 2], abs=1e-6)
+    closed(gone, network)
     secured = solved(network, 2, security=om.Security({"generators": ["unit"]}, screen=False))
     outside = secured.solution.value("storage_outside")[0]
     assert (outside[2:] <= outside[:2] + 1e-9).all()
@@ -264,7 +265,7 @@ def bends(**options: Any) -> om.Network:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_slopes_that_change_give_one_linear_program_per_hour(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = 4

@@ -104,7 +104,7 @@ class StorageDevice(Device):
 
     @staticmethod
     def _want(model: Model, table: Table, e_next: Expression) -> None:
-        """State the energy that is wanted at given hours, in every stage but contingencies."""
+        """State what is wanted at given hours of storages in service, in every stage but contingencies."""
         wanted = np.flatnonzero(np.isfinite(table.wanted))
         if not wanted.size:
             return
@@ -112,7 +112,7 @@ class StorageDevice(Device):
         soft = Soft("wanted energy", wanted, "MWh", "is {} short of what is wanted", price="balance")
 
         def least(t: Table) -> Array:
-            return np.asarray(t.energy_wanted[wanted])
+            return np.where(t.status[wanted] > 0, t.energy_wanted[wanted], 0.0)
 
         model.rows("storage", "e_wanted", e_next[wanted][:, regular], least, np.inf, soft, regular)
 

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import spsolve
 
 from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
-from opfmodel.network.components import BUILT_IN, Branch, Bus, Generator
+from opfmodel.network.components import BUILT_IN, Branch, Bus, Connection, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import is_adjustable
 from opfmodel.network.network import Network
@@ -381,7 +381,7 @@ def _reference(
         return declared[0], f"several reference buses in one island; {declared[0]!r} is used"
     capacity = dict.fromkeys(members, -np.inf)
     for component in kept.values():
-        if isinstance(component, Generator) and component.bus in capacity:
+        if isinstance(component, Generator | Connection) and component.bus in capacity:
             capacity[component.bus] = max(capacity[component.bus], component.p[1])
     chosen = max(members, key=lambda b: capacity[b])
     return chosen, f"no reference bus declared in the island of {members[0]!r}; {chosen!r} is used"

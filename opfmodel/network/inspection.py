@@ -12,11 +12,17 @@ import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.network.arrays import per_unit
-from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Renewable, Storage
+from opfmodel.network.components import Branch, Bus, Connection, DCLine, Generator, Load, Renewable, Storage
 from opfmodel.network.network import Network
 from opfmodel.network.suspicions import Suspicion, suspicions
 
 __all__ = ["Inspection", "Island", "Level", "inspect", "topology"]
+
+_SOURCES: tuple[tuple[type[Any], str, Callable[[Any], float]], ...] = (
+    (Generator, "p_max", lambda unit: unit.p[1]),
+    (Renewable, "available", lambda unit: unit.available),
+    (Connection, "p_max", lambda unit: unit.p[1]),
+)
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ class Inspection:
     levels
         In descending voltage.
     capacity_mw
-        Maximum generation, renewables included; infinity if a unit has no limit.
+        Maximum generation and import, renewables included; infinity if a unit has no limit.
     storage_mw, storage_mwh
         Maximum discharging power and energy capacity of the storages.
     demand_mw
@@ -116,8 +122,8 @@ def inspect(network: Network, profiles: Mapping[Any, npt.ArrayLike] | None = Non
     notes = per_unit(network).notes
     parts = topology(network)
     demand = _over_time(network, series, Load, "p", lambda load: load.p)
-    capacity = _over_time(network, series, Generator, "p_max", lambda unit: unit.p[1])
-    capacity = capacity + _over_time(network, series, Renewable, "available", lambda unit: unit.available)
+    each = [_over_time(network, series, kind, field, value) for kind, field, value in _SOURCES]
+    capacity = np.sum(each, axis=0)
     peak = int(np.argmax(demand))
     running = [s for s in network.of(Storage).values() if s.in_service]
     islands, loops = _islands(network, parts)
@@ -180,12 +186,10 @@ def _islands(network: Network, graph: Any) -> tuple[tuple[Island, ...], int]:
     for number, members in enumerate(parts):
         place |= dict.fromkeys(members, number)
     capacity, demand, imported = ([0.0] * len(parts) for _ in range(3))
-    for unit in network.of(Generator).values():
-        if unit.in_service and unit.bus in place:
-            capacity[place[unit.bus]] += unit.p[1]
-    for renewable in network.of(Renewable).values():
-        if renewable.in_service and renewable.bus in place:
-            capacity[place[renewable.bus]] += renewable.available
+    for kind, _, value in _SOURCES:
+        for unit in network.of(kind).values():
+            if unit.in_service and unit.bus in place:
+                capacity[place[unit.bus]] += value(unit)
     for load in network.of(Load).values():
         if load.in_service and load.bus in place:
             demand[place[load.bus]] += load.p

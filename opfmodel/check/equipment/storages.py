@@ -41,7 +41,7 @@ class Storages(Equipment):
         checker.note("storage energy", units.names, np.where(recovers, -np.inf, self._outside(e_next)), "MWh")
         wanted = units.where(np.isfinite(units.constant("wanted"))[:, 0])
         if wanted.names:
-            least = checker.trajectories.from_clock(wanted, "energy_wanted")
+            least = wanted.status() * checker.trajectories.from_clock(wanted, "energy_wanted")
             checker.note("wanted energy", wanted.names, least - wanted.values("e_next"), "MWh")
         if checker.has("storage_outside"):
             outside, reported = np.maximum(self._outside(e_next), 0.0), units.values("storage_outside")

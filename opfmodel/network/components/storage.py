@@ -28,7 +28,7 @@ class Storage(Component):
     kind: ClassVar[str] = "storage"
     plural: ClassVar[str] = "storages"
     lost: ClassVar[Mapping[str, float]] = {"power_min": 0, "power_max": 0, "q_min": 0, "q_max": 0}
-    clocked: ClassVar[Mapping[str, Clocked]] = {"energy_wanted": Clocked("MWh", "max", "wanted")}
+    clocked: ClassVar[Mapping[str, Clocked]] = {"energy_wanted": Clocked("MWh", "max", of="wanted")}
 
     bus: str = at_bus()
     energy: float = number("MWh", at_least=0.0, over="min", description="Energy capacity.")
