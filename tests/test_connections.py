@@ -19,6 +19,9 @@ from opfmodel.data.calendar import Calendar, Times
 from opfmodel.errors import CaseError, ComponentError, ModelError, ProfileError, SecurityError
 from opfmodel.forecasts import Noisy
 from opfmodel.model.elastic import Elastic
+from opfmodel.network.inspection import inspect
+from opfmodel.results.aggregates import injections
+from opfmodel.results.figures import system
 
 HOURS = 24
 RNG = np.random.default_rng(5)
@@ -337,6 +340,18 @@ def test_a_power_flow_and_a_case_have_no_connections(tmp_path: Path) -> None:
         om.power_flow(network)
     with pytest.raises(CaseError, match=r"connections .*grid.*: MATPOWER has no such equipment"):
         om.write_network(network, tmp_path / "case.m", lossy=False)
+
+
+def test_imports_count_as_capacity_and_appear_in_figures() -> None:
+    network = site()
+    network.update("a", reference=False)
+    found = inspect(network)
+    assert (found.capacity_mw, found.spare_mw, found.islands[0].capacity_mw) == (40, 30, 40)
+    assert "'a' is used" in found.notes[0]
+    data = om.MultiStage(network, 2, formulation="dc", profiles=SERIES).solve().data
+    assert injections(data) == ["connection_p"]
+    assert data["connection_p_max"].values == pytest.approx(40)
+    assert "connection" in [text.get_text().split()[0] for text in system(data).legends[0].get_texts()]
 
 
 def test_a_scenario_file_has_connections(tmp_path: Path) -> None:

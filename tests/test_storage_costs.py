@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 import opfmodel as om
 from opfmodel.check import check
 from opfmodel.data.calendar import Calendar, Times
-from opfmodel.errors import ComponentError, ProfileError
+from opfmodel.errors import CaseError, ComponentError, ProfileError
 from opfmodel.forecasts import Noisy
 from opfmodel.model.elastic import Elastic
 
@@ -355,6 +355,14 @@ def test_wrong_series_are_refused(series: dict[str, Any], message: str) -> None:
 def test_wrong_fields_are_refused(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ComponentError, match=message):
         shop(**fields)
+
+
+@pytest.mark.filterwarnings("ignore:.*buses are numbered")
+@pytest.mark.parametrize("fields", [{"throughput_cost": 1}, {"wanted": 3}, {"recovery_cost": 9}])
+def test_a_case_has_none_of_the_fields(fields: dict[str, Any], tmp_path: Path) -> None:
+    om.write_network(shop(), tmp_path / "case.m", lossy=False)
+    with pytest.raises(CaseError, match="cell: throughput_cost, wanted and recovery_cost are left out"):
+        om.write_network(shop(**fields), tmp_path / "case.m", lossy=False)
 
 
 def test_a_scenario_file_has_the_fields(tmp_path: Path) -> None:
