@@ -180,8 +180,11 @@ def test_each_path_of_a_tree_pays_for_its_own_peak() -> None:
     plan = problem.solve(expected=problem.expected(futures))
     assert plan.optimal
     highest = []
-    for name, cost in plan.scenario_costs.items():
+    for (name, cost), future in zip(plan.scenario_costs.items(), futures, strict=True):
         path = plan.scenario(name)
+        report = check(network, path, {**SERIES, "town.p": future["town.p"]})
+        assert report.max_violation < 1e-6, report.worst
+        assert report.cost == pytest.approx(cost, rel=1e-9)
         p = path["connection_p"].values[:, 0]
         highest.append(max(8.0, p.max()))
         rate = np.where(p > 0, [BUY[0], BUY[1], BUY[2:4].mean()], 0) * p
