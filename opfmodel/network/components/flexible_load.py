@@ -150,17 +150,21 @@ class FlexibleLoad(Component):
             ahead = (boundary - clock) % self.every
             ahead[ahead <= _SAME] += self.every
             within |= ahead < times.step - _SAME
-        for stage, (begin, length) in enumerate(zip(times.steps - first, lengths, strict=True)):
-            own = slice(begin, begin + length)
-            broken = within[own].any() or windows.opens[own][1:].any() or windows.closes[own][:-1].any()
-            if broken:
-                close = (self.begin + self.hours) % 24.0
-                raise IncompatibleError(
-                    f"{name}: a window from {_time(self.begin)} to {_time(close)} every "
-                    f"{duration(self.every)} begins or ends inside the stage of "
-                    f"{duration(length * times.step)} that begins at {times.shown[stage]}; stages must begin "
-                    "and end with the windows"
-                )
+        begins, ends = times.steps - first, times.steps - first + lengths
+        broken = (
+            _count(within, begins, ends)
+            + _count(windows.opens, begins + 1, ends)
+            + _count(windows.closes, begins, ends - 1)
+        )
+        if broken.any():
+            stage = int(np.argmax(broken > 0))
+            close = (self.begin + self.hours) % 24.0
+            raise IncompatibleError(
+                f"{name}: a window from {_time(self.begin)} to {_time(close)} every "
+                f"{duration(self.every)} begins or ends inside the stage of "
+                f"{duration(float(lengths[stage]) * times.step)} that begins at {times.shown[stage]}; stages "
+                "must begin and end with the windows"
+            )
 
     def _windows(self, times: Times) -> _Windows:
         """Return where the steps, which follow one another, are in their windows.
@@ -188,6 +192,14 @@ class FlexibleLoad(Component):
         left = np.where(inside, until * times.step, 0.0)
         own = slice(before, before + count)
         return _Windows(inside[own], opens[own], closes[own], left[own])
+
+
+def _count(
+    marks: npt.NDArray[np.bool_], begins: npt.NDArray[np.intp], ends: npt.NDArray[np.intp]
+) -> npt.NDArray[np.intp]:
+    """Return the number of marks from each beginning up to each end."""
+    before = np.append(0, np.cumsum(marks))
+    return np.asarray(before[ends] - before[begins])
 
 
 def _time(hour: float) -> str:
