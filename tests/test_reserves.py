@@ -171,6 +171,51 @@ def test_a_reserve_costs_what_the_unit_that_provides_it_would_earn(formulation: 
     assert check(grid, plan.data).max_violation < 1e-6
 
 
+def case30(tmp_path: Path) -> om.Network:
+    """The case with reserves of PYPOWER, a port of MATPOWER, without its reserves."""
+    case = pytest.importorskip("pypower.t.t_case30_userfcns").t_case30_userfcns()
+    tables = (
+        f"mpc.{name} = [\n" + "\n".join(" ".join(map(repr, row)) for row in case[name].tolist()) + "\n];\n"
+        for name in ("bus", "gen", "branch", "gencost")
+    )
+    file = tmp_path / "case30.m"
+    file.write_text(f"function mpc = case30\nmpc.version = '2';\nmpc.baseMVA = 100;\n{''.join(tables)}")
+    grid = om.read_network(file)
+    units = dict(zip(grid.of(om.Generator), [1.9, 2, 3, 4, 5, 5.5], strict=True))
+    zone = list(units)[4:]
+    # MATPOWER requires 60 MW of all units, of which 20 MW of the last two
+    grid.add("all", om.Reserve(40, units=dict.fromkeys(units, 25), cost=units))
+    of_zone = {name: units[name] for name in zone}
+    grid.add("zone", om.Reserve(20, units=dict.fromkeys(zone, 25), cost=of_zone))
+    return grid
+
+
+@pytest.mark.parametrize(
+    ("without", "offers", "cost"),
+    [
+        (None, [25, 15, 0, 0, 19.3906, 0.6094], 177.8047),
+        (4, [25, 15, 0, 0, 0, 20], 187.5),
+    ],
+)
+def test_offers_and_prices_are_those_of_matpower(
+    tmp_path: Path, without: int | None, offers: list[float], cost: float
+) -> None:
+    """An AC optimal power flow with fixed zonal reserves; the figures of PYPOWER's ``t_runopf_w_res``."""
+    grid = case30(tmp_path)
+    if without is not None:
+        gone = list(grid.of(om.Generator))[without]
+        for name in ("all", "zone"):
+            reserve = grid[name]
+            assert isinstance(reserve, om.Reserve)
+            kept = [{k: v for k, v in part.items() if k != gone} for part in (reserve.units, reserve.cost)]
+            grid.update(name, units=kept[0], cost=kept[1])
+    data = om.MultiStage(grid, options={"tol": 1e-10}, **REFERENCE).solve().data
+    both = data.all_generator.values[0] + data.zone_generator.values[0]
+    assert both == pytest.approx(offers, abs=5e-5)
+    assert both @ [1.9, 2, 3, 4, 5, 5.5] == pytest.approx(cost, abs=5e-5)
+    assert data.reserve_price.values[0] == pytest.approx([2.0, 5.5], abs=5e-7)
+
+
 def offered(grid: om.Network, stages: int = 1, **options: object) -> np.ndarray:
     """What is offered of the product ``spin``, of which more is required than there is, MW."""
     plan = om.MultiStage(grid, stages, formulation="dc", **REFERENCE, **options).solve()  # type: ignore[arg-type]
