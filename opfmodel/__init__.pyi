@@ -10,6 +10,7 @@ from .analysis.bound import (
 )
 from .network import (
     Branch as Branch,
+    Budget as Budget,
     Bus as Bus,
     Connection as Connection,
     DCLine as DCLine,

@@ -4,6 +4,7 @@ from opfmodel.network.component import Component
 from opfmodel.network.components import (
     BUILT_IN,
     Branch,
+    Budget,
     Bus,
     Connection,
     DCLine,
@@ -33,6 +34,7 @@ from opfmodel.network.network import Network, name_pattern
 __all__ = [
     "BUILT_IN",
     "Branch",
+    "Budget",
     "Bus",
     "Component",
     "Connection",

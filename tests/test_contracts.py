@@ -64,41 +64,44 @@ OPTIONS: dict[tuple[str, str], dict[str, object]] = {
 }
 
 
+EXAMPLES = {
+    "generator": lambda: om.Generator(
+        "x", p=(0, 30), q=(-5, 5), ramp=4, cost=om.PiecewiseLinear(((0, 0), (10, 200), (30, 900))),
+        capability=((0, -5), (30, -3), (30, 3), (0, 5)),
+    ),
+    "storage": lambda: om.Storage(
+        "x", energy=10, energy_min=6, initial=5, power=2, q=1, rating=2,
+        capability=((-2, -0.5), (0, -1), (2, -0.5), (2, 1), (-2, 1)), charge_efficiency=0.9, standing_loss=0.01,
+        throughput_cost=2, wanted=8, wanted_at=2, wanted_every=2, recovery_cost=90,
+    ),
+    "load": lambda: om.Load("x", p=3, q=1, shed_cost=40),
+    "flexible_load": lambda: om.FlexibleLoad(
+        "x", energy=2, power=(0, 2), hours=1, every=3, efficiency=0.9, power_factor=0.95, unserved_cost=50
+    ),
+    "renewable": lambda: om.Renewable(
+        "x", available=3, q=(-2, 2), power_factor=0.9, rating=3.1, curtail_cost=5,
+        capability=((0, -2), (4, -2), (4, 1), (2, 2), (0, 2)),
+    ),
+    "connection": lambda: om.Connection(
+        "x", p=(-4, 20), q=(-5, 5), buy=50, sell=20, peak_cost=300, peak_hours=2, peak=1
+    ),
+    "dc_line": lambda: om.DCLine(
+        "x", "y", p=(-6, 9), loss=0.05, loss_fixed=0.2, q_from=(-2, 3), q_to=1, cost=1.5
+    ),
+    "reserve": lambda: om.Reserve(
+        5, "down", hours=0.5, units={"slack": 30}, cost={"slack": 2}, lacking_cost=400
+    ),
+    "budget": lambda: om.Budget(amount=9, uses={"slack": 0.5}, hours=2, left=6, over_cost=3),
+}  # fmt: skip
+
+
 def example(kind: str) -> Component:
     """Return a component of a kind with as many features as possible."""
-    if kind == "generator":
-        cost = om.PiecewiseLinear(((0, 0), (10, 200), (30, 900)))
-        corners = ((0, -5), (30, -3), (30, 3), (0, 5))
-        return om.Generator("x", p=(0, 30), q=(-5, 5), ramp=4, cost=cost, capability=corners)
-    if kind == "storage":
-        lossy = {"charge_efficiency": 0.9, "standing_loss": 0.01}
-        corners = ((-2, -0.5), (0, -1), (2, -0.5), (2, 1), (-2, 1))
-        wanted = {"throughput_cost": 2, "wanted": 8, "wanted_at": 2, "wanted_every": 2, "recovery_cost": 90}
-        limits = {"energy": 10, "energy_min": 6, "initial": 5, "power": 2, "q": 1, "rating": 2}
-        return om.Storage("x", capability=corners, **limits, **lossy, **wanted)
-    if kind == "connection":
-        return om.Connection("x", p=(-4, 20), q=(-5, 5), buy=50, sell=20, peak_cost=300, peak_hours=2, peak=1)
-    if kind == "load":
-        return om.Load("x", p=3, q=1, shed_cost=40)
-    if kind == "flexible_load":
-        return om.FlexibleLoad(
-            "x", energy=2, power=(0, 2), hours=1, every=3, efficiency=0.9, power_factor=0.95, unserved_cost=50
-        )
-    if kind == "renewable":
-        corners = ((0, -2), (4, -2), (4, 1), (2, 2), (0, 2))
-        return om.Renewable(
-            "x", available=3, q=(-2, 2), power_factor=0.9, rating=3.1, curtail_cost=5, capability=corners
-        )
-    if kind == "reserve":
-        units = {"slack": 30}
-        return om.Reserve(5, "down", hours=0.5, units=units, cost={"slack": 2}, lacking_cost=400)
-    if kind == "dc_line":
-        return om.DCLine("x", "y", p=(-6, 9), loss=0.05, loss_fixed=0.2, q_from=(-2, 3), q_to=1, cost=1.5)
     if kind == "fleet":
         from example_plugins.fleet import Fleet
 
         return Fleet("x", power=3, energy=10, energy_min=1, initial=4, driving=0.5, wear=2.0)
-    raise AssertionError(f"add an example of a {kind} here")
+    return EXAMPLES[kind]()
 
 
 @pytest.fixture(autouse=True)

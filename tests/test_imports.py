@@ -10,12 +10,12 @@ import opfmodel
 
 PATHS = {
     "opfmodel.components": (
-        "BUILT_IN Branch Bus Component Connection Cost DCLine FlexibleLoad Generator Load Network "
-        "PiecewiseLinear Polynomial Renewable Reserve Shunt Storage adjustable at_bus choice flag "
-        "in_service number points span weights"
+        "BUILT_IN Branch Budget Bus Component Connection Cost DCLine FlexibleLoad Generator Load "
+        "Network PiecewiseLinear Polynomial Renewable Reserve Shunt Storage adjustable at_bus "
+        "choice flag in_service number points span weights"
     ),
     "opfmodel.network": (
-        "Array Branch Bus Component Connection Cost DCLine FlexibleLoad Generator Index Load "
+        "Array Branch Budget Bus Component Connection Cost DCLine FlexibleLoad Generator Index Load "
         "Network PerUnitNetwork PiecewiseLinear Polynomial Renewable Reserve Shunt Storage Table "
         "adjustable at_bus choice flag number per_unit points read_network span weights "
         "write_network"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime, time
 from itertools import chain, compress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +29,12 @@ Complex = npt.NDArray[np.complexfloating]
 Series = Mapping[Any, npt.ArrayLike]
 Bounds = tuple[Array, Array]
 
-_OVER: Mapping[str, Callable[..., Any]] = {"mean": np.mean, "min": np.min, "max": np.max}
+_OVER: Mapping[str, Callable[..., Any]] = {
+    "mean": np.mean,
+    "min": np.min,
+    "max": np.max,
+    "last": lambda steps: steps[-1],
+}
 
 
 def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
@@ -46,7 +53,7 @@ class Trajectories:
     def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
         self.data = data
         self.times, self.moments = _times(data)
-        base = float(data.attrs.get("step_hours", 1.0))
+        self.base = base = float(data.attrs.get("step_hours", 1.0))
         self.hours = np.asarray(data["hours"].values if "hours" in data else np.full(len(self.times), base))
         lengths = np.rint(self.hours / base).astype(int)  # in steps of the series
         self.begins = first + np.cumsum(lengths) - lengths
@@ -54,6 +61,19 @@ class Trajectories:
         self.series = Profiles.of(series)
         self.changing = {key.field for key in self.series}
         self.positions: dict[str, dict[str, int]] = {}
+
+    def clock(self, steps: npt.NDArray[np.intp]) -> Array:
+        """Local times of the beginnings of steps, h since midnight of the day of step 0."""
+        times = self.data["time"].values
+        if not np.issubdtype(times.dtype, np.datetime64):
+            return np.asarray(self.times[0] + (steps - self.begins[0]) * self.base)
+        zone = ZoneInfo(str(self.data["time"].attrs.get("zone", "UTC")))
+        length = np.timedelta64(round(self.base * 3.6e12), "ns")
+        stamps = times[0] + (np.append(0, steps) - self.begins[0]) * length
+        seconds = stamps.astype("datetime64[s]").astype(np.int64).tolist()
+        walls = [datetime.fromtimestamp(second, tz=zone).replace(tzinfo=None) for second in seconds]
+        midnight = datetime.combine(walls[0].date(), time())
+        return np.array([(wall - midnight).total_seconds() / 3600.0 for wall in walls[1:]])
 
     def has(self, *quantities: str) -> bool:
         """Whether the data contain all given quantities."""
@@ -87,7 +107,7 @@ class Trajectories:
     def declared(self, field: str, names: list[str], constants: Array, rule: str) -> Array:
         """Values of a field: ``constants`` of shape ``(items, 1)``, replaced by time series where given.
 
-        Over a stage of several steps the rule applies: ``mean``, or ``min`` and ``max`` of limits.
+        Over a stage of several steps the rule applies: ``mean``, ``min`` and ``max`` of limits, or ``last``.
         """
         end = int(self.ends.max(initial=0))
         keys = {i: SeriesKey(name, field) for i, name in enumerate(names)} if field in self.changing else {}

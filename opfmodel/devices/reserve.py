@@ -66,7 +66,7 @@ class ReserveDevice(Device):
     """
 
     component = Reserve
-    planned_only = True
+    physical = False
 
     def declare(self, model: Model, table: Table) -> None:
         """Declare ``reserve_offered``, ``reserve_lacking`` and the offers ``<product>_<kind of unit>``."""

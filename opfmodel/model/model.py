@@ -105,6 +105,8 @@ class Model:
         Names of the variables of an elastic problem that are shares of demand; see :meth:`share`.
     penalties
         Penalties of the slacks by item and stage, $.
+    whole
+        Names of the rows that tie the end of the horizon to its beginning, in plans of any number of stages.
     """
 
     def __init__(
@@ -149,6 +151,7 @@ class Model:
         self.prices: dict[str, Price] = {}
         self.states: dict[str, State] = {}
         self.settings: dict[str, Setting] = {}
+        self.whole: list[str] = []
         self.bounds: dict[str, BoundSource] = {}
         self.parameters: dict[str, tuple[str, Bound]] = {}
         self.injections: list[Injection] = []
@@ -481,6 +484,7 @@ class Model:
         """Declare the terminal conditions of a stock; see :meth:`stock`."""
         horizon, items = self.horizon, np.arange(values.items)
         cyclic = self.build.rows(f"{name}_cyclic", values.items, last.stages, -np.inf, np.inf)
+        self.whole.append(cyclic.name)
         self.build.add(last - values[:, 0], into=cyclic)
         tied = Soft(
             "cyclic end", items, self.states[name].unit,

@@ -117,7 +117,7 @@ class NumericStage:
         self.step = step
         self.values = dict(values)
         self._costed = list(costed)
-        self._leaves = np.array([-1]) if horizon is None else horizon.leaves
+        self._horizon = horizon
 
     def __getattr__(self, kind: str) -> Quantities:
         if kind.startswith("_") or kind not in self.network.tables:
@@ -131,9 +131,17 @@ class NumericStage:
         names = [n for k, n in self.values if k == kind]
         return Quantities(kind, get, lambda: [*names, *table.arrays])
 
+    @property
+    def horizon(self) -> Horizon:
+        """The nodes in time."""
+        if self._horizon is None:
+            stages = max(values.shape[1] for values in self.values.values())
+            self._horizon = Horizon.grid(np.broadcast_to(self.step, (1, stages))[0].tolist())
+        return self._horizon
+
     def leaves(self, values: Any) -> Any:
         """Return a quantity at the end of the horizon: in the last stage of each scenario."""
-        return values[:, self._leaves]
+        return values[:, [-1] if self._horizon is None else self._horizon.leaves]
 
     def has(self, name: str) -> bool:
         """Whether a quantity has values."""

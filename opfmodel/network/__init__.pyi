@@ -9,6 +9,7 @@ from .cases import read_network as read_network
 from .cases import write_network as write_network
 from .component import Component as Component
 from .components import Branch as Branch
+from .components import Budget as Budget
 from .components import Bus as Bus
 from .components import Connection as Connection
 from .components import DCLine as DCLine

@@ -412,10 +412,8 @@ def _table(
             ends = np.array([v if is_adjustable(v) else (v, v) for v in values], dtype=float).reshape(-1, 2)
             arrays[key] = _column([m.neutral(key) for m in resolved]) / factor
             arrays[f"{key}_min"], arrays[f"{key}_max"] = ends[:, :1] / factor, ends[:, 1:] / factor
-        elif form == "flag":
-            arrays[key] = np.array(values, dtype=bool)
-        elif form == "choice":
-            arrays[key] = np.array(values, dtype=str)
+        elif form in ("flag", "choice"):
+            arrays[key] = np.array(values, dtype=bool if form == "flag" else str)
         elif form == "bus":
             arrays[key] = np.array([buses[v] for v in values], dtype=np.intp)
         elif form == "cost":

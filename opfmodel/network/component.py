@@ -89,6 +89,7 @@ class Clocked(NamedTuple):
         The value with which programs are built, before it is known; of a limit, the loosest.
     of
         Optional field without which a component has no such quantity, which is then 0.
+        Its value over a stage of several steps: ``mean``, ``min``, ``max``, or ``last``.
     """
 
     unit: str
@@ -269,7 +270,7 @@ class Component:
     @classmethod
     @cache
     def over(cls, key: str) -> str:
-        """Return how a quantity of the arrays combines over several steps: ``mean``, ``min`` or ``max``.
+        """Return how a quantity combines over several steps: ``mean``, ``min``, ``max`` or ``last``.
 
         Power, demand and cost are averaged, so that energy is kept; of limits the tighter counts.
 

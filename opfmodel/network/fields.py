@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 INF = math.inf
-Over = Literal["mean", "min", "max"]  # how the values of several steps make one
+Over = Literal["mean", "min", "max", "last"]  # how the values of several steps make one
 
 
 def number(
@@ -79,8 +79,8 @@ def number(
     series
         Whether the field accepts a time series. Coefficients of equations must be constant.
     over
-        Value over a stage of several steps: ``mean``, ``min`` or ``max``. By default the minimum of a field
-        that may be infinite, which is a limit, and the mean of all others.
+        Value over a stage of several steps: ``mean``, ``min``, ``max`` or ``last``. By default the minimum of
+        a field that may be infinite, which is a limit, and the mean of all others.
     description
         What the field means, in one line without its unit; documentation and schemas state it.
     """

@@ -48,6 +48,8 @@ _SYMBOLS: dict[str, tuple[str, float, bool]] = {
     "min": ("time", 1.0 / 60.0, False),
     "s": ("time", 1.0 / 3600.0, False),
     "d": ("time", 24.0, False),
+    "unit": ("use of a budget", 1.0, False),
+    "units": ("use of a budget", 1.0, False),
     "deg": ("angle", 1.0, False),
     "°": ("angle", 1.0, False),
     "rad": ("angle", math.degrees(1.0), False),

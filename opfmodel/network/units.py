@@ -36,6 +36,11 @@ _FACTORS: dict[str, tuple[int, float]] = {
     "$/MVArh": (-1, 1.0),
     "$/MW": (-1, 1.0),
     "$/MW^2h": (-2, 1.0),
+    # of a budget, whose unit is the user's own
+    "units": (0, 1.0),
+    "units/h": (0, 1.0),
+    "units/MWh": (-1, 1.0),
+    "$/unit": (0, 1.0),
 }
 # exponent of the ratio of the internal base to the declared base
 _REBASED = {"p.u. impedance": -1, "p.u. admittance": 1}

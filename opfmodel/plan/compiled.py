@@ -73,10 +73,7 @@ def compiled(problem: MultiStage) -> Compiled:
     shrinking = None
     if problem.at_end == "shrink" and problem.stages > 1:
         stocks = [name for name, state in model.states.items() if state.role == "stock"]
-        ending = [name for name in stocks if model.states[name].ends]
-        shrinking = Shrinking(
-            program, problem.stages, stocks, [*(f"{name}_cyclic" for name in ending), SHORTAGE]
-        )
+        shrinking = Shrinking(program, problem.stages, stocks, [*model.whole, SHORTAGE])
     session = prepare(program, problem.solver, problem.options, problem.verbose)
     return Compiled(model, program, session, shrinking, clock.perf_counter() - began)
 

@@ -403,7 +403,7 @@ class MultiStage:
         alone = self.variant(elastic=Elastic(), objective=Nothing(self.objective), horizon=after)
         alone._check_secured(alone.elastic)
         alone.security, alone.risk, alone.constraints = security, None, {}
-        alone.devices = [device for device in alone.devices if not device.planned_only]
+        alone.devices = [device for device in alone.devices if device.physical]
         alone.outages = tuple(dict.fromkeys([*self.outages, *outages, NOTHING]))
         return alone
 

@@ -15,7 +15,12 @@ __all__ = ["at_nodes", "mean_of_futures", "over_nodes"]
 Array = npt.NDArray[np.float64]
 Fields = Mapping[tuple[str, str], Array]
 
-_REDUCE: Mapping[str, Callable[..., Array]] = {"mean": np.mean, "min": np.min, "max": np.max}
+
+def _last(values: Array, axis: int) -> Array:
+    return np.asarray(np.take(values, -1, axis))
+
+
+_REDUCE: Mapping[str, Callable[..., Array]] = {"mean": np.mean, "min": np.min, "max": np.max, "last": _last}
 
 
 def over_nodes(
@@ -41,7 +46,7 @@ def over_nodes(
 
 
 def at_nodes(futures: Sequence[Array], horizon: Horizon, rule: str = "mean") -> Array:
-    """Return values ``(items, nodes)`` from those of base steps by a rule: ``mean``, ``min`` or ``max``."""
+    """Return values ``(items, nodes)`` from those of base steps by a rule; see :meth:`Component.over`."""
     if horizon.is_even:
         if len(futures) == 1:
             return futures[0][:, horizon.step]

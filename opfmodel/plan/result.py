@@ -187,7 +187,14 @@ class Plan:
         for injection in self.model.injections:
             power = injection.at_buses(self.solution, self.network)
             values["bus", injection.name] = values.get(("bus", injection.name), 0.0) + power
-        return self._held({key: self._regular(array) for key, array in values.items()})
+        known = {key: self._regular(array) for key, array in values.items()}
+        return {**known, **self._following(known)} if self.optimal else self._held(known)
+
+    def _following(self, known: Mapping[tuple[str, str], Array]) -> dict[tuple[str, str], Array]:
+        """Return the quantities that follow from others; see :meth:`Device.follow`."""
+        stage = NumericStage(self.network, self.model.stage.step, known, self.model.costed, self.horizon)
+        devices = self.model.devices
+        return {(d.component.kind, name): values for d in devices for name, values in d.follow(stage).items()}
 
     def _regular(self, values: Array) -> Array:
         """Return values without those of contingencies, which come last."""
@@ -264,7 +271,7 @@ class Plan:
             if happened is not None and not committed:
                 values = happened[state.kind, name]
             elif not committed or self.stages == 1 < self.problem.stages:
-                values = self.solution.value(name)[:, 0]
+                values = self.quantities()[state.kind, name][:, 0]
             elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:

@@ -112,7 +112,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     """
     left_out: list[type[Component]] = [
         Storage,
-        *(device.component for device in problem.devices if device.planned_only),
+        *(device.component for device in problem.devices if not device.physical),
     ]
     network = _alone(problem.network, left_out)
     kept = Profiles(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from opfmodel.check.equipment.base import Equipment
+from opfmodel.check.equipment.budgets import Budgets
 from opfmodel.check.equipment.connections import Connections
 from opfmodel.check.equipment.dc_lines import DCLines
 from opfmodel.check.equipment.flexible_loads import FlexibleLoads
@@ -27,4 +28,5 @@ EQUIPMENT: tuple[type[Equipment], ...] = (
     FlexibleLoads,
     Shunts,
     Reserves,
+    Budgets,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from opfmodel.network.component import Component
 from opfmodel.network.components.branch import Branch
+from opfmodel.network.components.budget import Budget
 from opfmodel.network.components.bus import Bus
 from opfmodel.network.components.connection import Connection
 from opfmodel.network.components.dc_line import DCLine
@@ -22,6 +23,7 @@ from opfmodel.network.components.storage import Storage
 __all__ = [
     "BUILT_IN",
     "Branch",
+    "Budget",
     "Bus",
     "Connection",
     "DCLine",
@@ -46,5 +48,6 @@ BUILT_IN: tuple[type[Component], ...] = (
     FlexibleLoad,
     Shunt,
     Reserve,
+    Budget,
 )
 """Kinds of this package; devices from other packages define their own."""

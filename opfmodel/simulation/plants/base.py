@@ -11,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
+from opfmodel.model import NumericStage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.simulation.outages import Outage, Outages, outages_of
 
-__all__ = ["Key", "Plant", "Step", "Values"]
+__all__ = ["Key", "Plant", "Step", "Values", "with_following"]
 
 Array = npt.NDArray[np.float64]
 Key = tuple[str, str]
@@ -131,3 +132,27 @@ class Plant:
             Also if the plant finds no solution; ``solved`` is then false.
         """
         raise NotImplementedError
+
+
+def with_following(plan: Plan, values: Mapping[Key, Array], network: PerUnitNetwork) -> Values:
+    """Return the values of a step with what follows from them for devices that are no part of the grid.
+
+    Parameters
+    ----------
+    plan
+        The plan that the step applied; only the stocks of such devices at its start count.
+    network
+        The network in the step.
+    """
+    others = {d.component.kind: d for d in plan.model.devices if not d.physical}
+    if not others:
+        return dict(values)
+    stocks = {(state.kind, state.name) for state in plan.model.states.values() if state.role == "stock"}
+    prices = {(price.kind, name) for name, price in plan.model.prices.items()}
+    kept = stocks | prices
+    happened = {key: v[:, None] for key, v in values.items() if key[0] not in others or key in kept}
+    stage = NumericStage(network, plan.problem.step, happened, plan.model.costed)
+    made = dict(values)
+    for kind, device in others.items():
+        made |= {(kind, name): v[:, 0] for name, v in device.follow(stage).items()}
+    return made

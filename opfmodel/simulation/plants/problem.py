@@ -17,7 +17,7 @@ from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.request import Request
 from opfmodel.simulation.outages import Outages
-from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values
+from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values, with_following
 from opfmodel.simulation.records import DESCRIBED, changes, excesses
 from solvers import largest, total
 
@@ -87,6 +87,7 @@ class ACPlant(Plant):
         before = self._before
         values |= excesses(network, values, plan.problem.step, before)
         values |= changes(network, values, planned, self._available)
+        values = with_following(plan, values, network)
         self._before, self._next = values.get(("generator", "pg")), plan.time + 1
         return Step(
             values={**{key: price[:, 0] for key, price in plan.prices().items()}, **values},
@@ -248,7 +249,7 @@ def one_stage(
 ) -> MultiStage:
     """Return a single-stage problem with AC physics for the network of a problem.
 
-    It has no devices that are commitments of plans only.
+    It has no devices that are no part of the grid.
     """
     made = MultiStage(
         _without_moves(problem.network),
@@ -260,7 +261,7 @@ def one_stage(
         options=_PRECISE,
         **{"profiles": problem.profiles, **options},
     )
-    made.devices = [device for device in made.devices if not device.planned_only]
+    made.devices = [device for device in made.devices if device.physical]
     return made
 
 
@@ -281,7 +282,8 @@ def decided(network: PerUnitNetwork, devices: Sequence[Device]) -> dict[Key, str
     """
     model = Model(network, Horizon.chain(1), reactive=True, zones=np.arange(len(network.bus)))
     for device in devices:
-        model.connect(device)
+        if device.physical:
+            model.connect(device)
     stocks = {name for name, state in model.states.items() if state.role == "stock"}
     return {
         (p.kind, name): p.unit

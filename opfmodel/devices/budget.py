@@ -1,0 +1,192 @@
+"""Budgets over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from opfmodel.errors import IncompatibleError
+from opfmodel.horizon import Horizon
+from opfmodel.model import Device, Model, NumericStage, Soft, Stage
+from opfmodel.network.arrays import Array, Index, Table
+from opfmodel.network.components.budget import COUNTED, Budget, Use
+from solvers import Expression, largest, total
+
+__all__ = ["BudgetDevice"]
+
+_SAME = 1e-6  # relative
+
+
+class BudgetDevice(Device):
+    r"""Stocks of a limited amount per period, of which a plan uses no more than its share.
+
+    .. math::
+        b(k+1) = \kappa\, b(k) + (1 - \kappa)\, B - \Delta\, (u - o), \quad b, o \ge 0, \quad
+        u = \sum_i w_i p^g_i + \sum_j w_j |p^s_j|
+
+    with :math:`\kappa = 0` in a stage that begins a period, else 1. At the end of the horizon
+
+    .. math::
+        b(N) + \Delta\, a \ge \frac{R}{R + H}\, b(0) \quad\text{or}\quad \frac{R}{hours}\, B, \quad a \ge 0
+
+    in the first period or in a later one, with the length H of the horizon and the hours R of the period that
+    are left after it. Overspending o, and a above the share, are zero or have a cost.
+    """
+
+    component = Budget
+    physical = False
+
+    def declare(self, model: Model, table: Table) -> None:
+        """Declare ``budget_left``, ``budget_used``, ``budget_over`` and ``budget_ahead``."""
+        horizon, items = model.horizon, np.arange(len(table))
+        _check(table, horizon)
+        left, left_next = model.stock(
+            "budget", "budget_left", 0.0, np.inf, initial="left", ends=False,
+            unit="units", description="units of the budget that are left",
+        )  # fmt: skip
+        used = model.build.variable("budget use", items.size, model.stages)
+        model.publish("budget", "budget_used", used, unit="units/h", description="units of the budget used")
+        over = model.variable(
+            "budget", "budget_over", 0.0, _priced, unit="units/h", start=0.0,
+            description="units used that the budget no longer has",
+            soft=Soft("budget", items, "", above="is overspent by {} units"),
+        )  # fmt: skip
+        last = np.isin(horizon.owner, horizon.leaves)
+        ahead = model.variable(
+            "budget", "budget_ahead", 0.0, lambda t: np.where(last, _priced(t), 0.0),
+            unit="units/h", start=0.0,
+            description="units used above the share of the horizon in the budget, at its end",
+            soft=Soft("share of a budget", items, "", above="needs {} units more than its share"),
+        )  # fmt: skip
+        if not items.size:
+            return
+        self._count(model, table, used)
+        net = used - over
+        counted = (
+            model.step if horizon.is_even else model.of_fields("budget", "budget hours", _counted(horizon))
+        )
+        dynamics = model.build.rows("budget_dynamics", items.size, model.stages)
+        change = left_next - model.field("budget", "carried") * left + counted * net
+        model.build.add(change - model.of_fields("budget", "budget refill", _refill), into=dynamics)
+        if not horizon.is_even:  # periods may end within a stage, and must be within the budget until then
+            before = model.of_fields(
+                "budget", "budget hours before", lambda t: horizon.hours - _counted(horizon)(t)
+            )
+            model.rows("budget", "budget_before", left - before * net, 0.0, np.inf)
+        self._share(model, left, left_next, ahead)
+        model.price(
+            "budget",
+            "budget_price",
+            lambda solution, _: solution.dual("budget_dynamics"),
+            "$/unit",
+            "value of one more unit of the budget left at the end of the stage",
+            rate=False,
+        )
+
+    @staticmethod
+    def _count(model: Model, table: Table, used: Expression) -> None:
+        """State what is used in each stage; what happens after outages does not count."""
+        rows = model.build.rows("budget_use", used.items, model.stages)
+        model.build.add(used, into=rows)
+        regular = np.arange(len(model.horizon.regular))
+        for kind, owner, member, weight, counted in _uses(table):
+            quantity = getattr(getattr(model, kind), counted.quantity)[member][:, regular]
+            if counted.magnitude:
+                quantity = largest(quantity, -quantity)
+            model.build.add(-weight * quantity, into=rows[owner][:, regular])
+
+    @staticmethod
+    def _share(model: Model, left: Expression, left_next: Expression, ahead: Expression) -> None:
+        """State what has to be left at the end of each scenario."""
+        horizon = model.horizon
+        leaves, hours = horizon.leaves, horizon.hours
+
+        def through(table: Table) -> Array:
+            """Whether the period of the first stage lasts until the end of each node, as 1 or 0."""
+            carried = np.array(np.broadcast_to(table.carried, (len(table), len(horizon))))
+            for node in horizon.inner:  # parents come first
+                carried[:, node] *= carried[:, horizon.parent[node]]
+            return carried
+
+        def of_left(table: Table) -> Array:
+            first = horizon.roots[:1] if table.remaining.shape[1] > 1 else [0]
+            whole = table.remaining[:, first] + hours[horizon.roots[0]]
+            return np.asarray(through(table) * table.remaining / whole)
+
+        def of_amount(table: Table) -> Array:
+            return np.asarray((1.0 - through(table)) * table.remaining / table.hours * table.amount)
+
+        part = model.of_fields("budget", "budget share", of_left, leaves)
+        least = model.of_fields("budget", "budget share later", of_amount, leaves)
+        kept = model.leaves(left_next) + hours[None, leaves] * model.leaves(ahead)
+        body = kept - part * left[:, horizon.roots[:1]] - least
+        model.whole.append(model.rows("budget", "budget_share", body, 0.0, np.inf, nodes=leaves).name)
+
+    def cost(self, stage: Stage) -> Any:
+        """Return the cost of overspending, $/h."""
+        g = stage.budget
+        price = np.where(np.isfinite(g.over_cost), g.over_cost, 0.0)
+        return total(price * (g.budget_over + g.budget_ahead))
+
+    def follow(self, stage: NumericStage) -> Mapping[str, Array]:
+        """Return what is used and left; without decisions, what exceeds the budget is overspent."""
+        budgets, horizon, table = stage.budget, stage.horizon, stage.network.tables["budget"]
+        shape = len(table), len(horizon)
+        used = np.zeros(shape)
+        for kind, owner, member, weight, counted in _uses(table):
+            quantity = stage.values[kind, counted.quantity][member]
+            np.add.at(used, owner, weight * (np.abs(quantity) if counted.magnitude else quantity))
+        decided = "budget_over" in budgets
+        over = np.array(budgets.budget_over) if decided else np.zeros(shape)
+        carried, refill = (np.broadcast_to(values, shape) for values in (table.carried, _refill(table)))
+        hours = np.broadcast_to(_counted(horizon)(table), shape)
+        left, left_next = np.array(budgets.budget_left, dtype=float), np.zeros(shape)
+        for node, parent in enumerate(horizon.parent):
+            if parent >= 0:
+                left[:, node] = left_next[:, parent]
+            kept = carried[:, node] * left[:, node] + refill[:, node]
+            end = kept - hours[:, node] * (used[:, node] - over[:, node])
+            if not decided:
+                over[:, node] = np.maximum(-end, 0.0) / hours[:, node]
+            left_next[:, node] = np.maximum(end, 0.0)
+        made = {"budget_used": used, "budget_left": left, "budget_left_next": left_next}
+        return made if decided else {**made, "budget_over": over, "budget_ahead": np.zeros(shape)}
+
+
+def _check(table: Table, horizon: Horizon) -> None:
+    """Raise :class:`IncompatibleError` unless periods consist of steps, and no stage is longer than one."""
+    longest = float(horizon.regular.hours.max())
+    for name, (hours,) in zip(table.names, table.hours, strict=True):
+        if abs(hours / horizon.base - round(hours / horizon.base)) > _SAME:
+            raise IncompatibleError(
+                f"{name}: hours = {hours:g}: must be a multiple of the step of {horizon.base:g} h"
+            )
+        if hours < longest * (1.0 - _SAME):
+            raise IncompatibleError(
+                f"{name}: hours = {hours:g}: must be at least the longest stage, {longest:g} h"
+            )
+
+
+def _priced(table: Table) -> Array:
+    """Return the most that may be overspent: anything if it has a cost."""
+    return np.where(np.isfinite(table.over_cost), np.inf, 0.0)
+
+
+def _refill(table: Table) -> Array:
+    """Return the amount in the stages that begin a period."""
+    return np.asarray((1.0 - table.carried) * table.amount)
+
+
+def _counted(horizon: Horizon) -> Callable[[Table], Array]:
+    """Return the hours of each stage in the period in which it ends."""
+    return lambda table: np.minimum(horizon.hours, table.hours - table.remaining)
+
+
+def _uses(table: Table) -> Iterator[tuple[str, Index, Index, Array, Use]]:
+    """Yield the uses by kind: positions of budgets and components, units per energy, what counts."""
+    for kind, counted in COUNTED.items():
+        owner = table.arrays[f"uses_{kind}_owner"]
+        if owner.size:
+            yield kind, owner, table.arrays[f"uses_{kind}_member"], table.arrays[f"uses_{kind}"], counted
