@@ -142,7 +142,7 @@ def _left(model: Model, what: str, shares: Array, group: Index) -> Any:
         columns = [divide(weights * status, group) * status for status in table.status.T]
         return np.column_stack(columns)
 
-    if not model.outages & set(model.network.generator.names):
+    if ("generator", "status") not in model.series:
         return shares
     return model.of_fields("generator", f"{what} share", left)
 

@@ -115,12 +115,15 @@ class Component:
         it can go out while the network is operated.
     clocked
         Quantities of the arrays that follow from the clock, by name; see :meth:`at_clock`.
+    governs
+        Fields on which other quantities of the arrays depend in each stage, and these; see :meth:`in_stages`.
     """
 
     kind: ClassVar[str]
     plural: ClassVar[str]
     lost: ClassVar[Mapping[str, float]] = {}
     clocked: ClassVar[Mapping[str, Clocked]] = {}
+    governs: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     in_service: bool
 
     def __init_subclass__(cls) -> None:
@@ -224,6 +227,26 @@ class Component:
         lengths
             Number of steps of each stage.
         """
+
+    @classmethod
+    def in_stages(
+        cls,
+        arrays: Mapping[str, npt.NDArray[Any]],  # noqa: ARG003
+        before: Mapping[str, npt.NDArray[np.float64]],  # noqa: ARG003
+        hours: npt.NDArray[np.float64],  # noqa: ARG003
+    ) -> Mapping[str, npt.NDArray[np.float64]]:
+        """Return the quantities in :attr:`governs`, ``(items, stages)``.
+
+        Parameters
+        ----------
+        arrays
+            All quantities of the kind as declared, in per unit.
+        before
+            The fields in :attr:`governs` in the stage before each.
+        hours
+            Mean length of each stage and the one before it.
+        """
+        return {}
 
     def resolved(self) -> Self:
         """Return the component with defaults that depend on other fields filled in."""

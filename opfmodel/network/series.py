@@ -12,7 +12,7 @@ import numpy.typing as npt
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest, raise_all
-from opfmodel.network.arrays import PerUnitNetwork, Table
+from opfmodel.network.arrays import Index, PerUnitNetwork, Table
 from opfmodel.network.bounds import LARGEST
 from opfmodel.network.component import Component
 from opfmodel.network.network import Network
@@ -26,6 +26,9 @@ __all__ = [
     "clocked_fields",
     "faults_of_keys",
     "fields_with_series",
+    "governed",
+    "governed_fields",
+    "governing",
     "widest",
     "window",
 ]
@@ -167,7 +170,7 @@ def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
         own = own[np.isfinite(own)]
         if own.size:
             limits[position] = own.min() if field.endswith("_min") else own.max()
-    return out
+    return _loosened(out, profiles, network)
 
 
 def window(
@@ -237,6 +240,77 @@ def clocked_fields(arrays: PerUnitNetwork) -> list[tuple[str, str]]:
         for field, clocked in table.kind.clocked.items()
         if len(table) and (clocked.of is None or np.isfinite(table.arrays[clocked.of]).any())
     ]
+
+
+def governing(profiles: Profiles, network: PerUnitNetwork) -> dict[str, tuple[str, ...]]:
+    """Fields that govern others, by kind, unless they have their default in all components at all times."""
+    changing, made = fields_with_series(profiles, network), {}
+    for kind, table in network.tables.items():
+        default = {field: table.kind.fields()[field].default for field in table.kind.governs}
+        if any((kind, f) in changing or (table.arrays[f] != value).any() for f, value in default.items()):
+            made[kind] = tuple(default)
+    return made
+
+
+def governed_fields(profiles: Profiles, network: PerUnitNetwork) -> set[tuple[str, str]]:
+    """``(kind, field)`` pairs that depend on others in each stage, so that they are like time series."""
+    return {
+        (kind, quantity)
+        for kind, fields in governing(profiles, network).items()
+        for field in fields
+        for quantity in network.tables[kind].kind.governs[field]
+        if network.tables[kind].arrays[quantity].size
+    }
+
+
+def governed(
+    series: Fields,
+    profiles: Profiles,
+    network: PerUnitNetwork,
+    parent: Index,
+    lengths: Array,
+    before: Fields,
+) -> Fields:
+    """Series with the quantities that depend on others in each stage, ``(items, nodes)``.
+
+    Parameters
+    ----------
+    series
+        Fields at the nodes of a horizon.
+    parent, lengths
+        Node before each, -1 for none, and hours of each.
+    before
+        The same fields in the step before the first nodes; what is missing was as in these.
+    """
+    made = dict(series)
+    for kind, fields in governing(profiles, network).items():
+        table = network.tables[kind]
+        arrays = {**table.arrays, **{field: values for (of, field), values in series.items() if of == kind}}
+        known = {}
+        for field in fields:
+            arrays[field] = now = np.broadcast_to(arrays[field], (len(table), parent.size))
+            known[field] = np.where(parent >= 0, now[:, parent], before.get((kind, field), now))
+        hours = np.where(parent >= 0, 0.5 * (lengths + lengths[parent]), lengths)
+        of_kind = table.kind.in_stages(arrays, known, hours)
+        made |= {(kind, field): values for field, values in of_kind.items() if values.size}
+    return made
+
+
+def _loosened(limits: Fields, profiles: Profiles, network: PerUnitNetwork) -> Fields:
+    """Limits with the loosest that follow from any value of the fields that govern them."""
+    out = dict(limits)
+    for kind, fields in governing(profiles, network).items():
+        table = network.tables[kind]
+        own = {**table.arrays, **{field: values for (of, field), values in limits.items() if of == kind}}
+        for field in fields:
+            rules = table.kind.fields()[field].metadata
+            for value in (rules["at_least"], rules["at_most"]):
+                at = np.full((len(table), 1), value)
+                for key, values in table.kind.in_stages({**own, field: at}, {field: at}, np.ones(1)).items():
+                    if key.endswith(("_min", "_max")):
+                        loosest = np.minimum if key.endswith("_min") else np.maximum
+                        out[kind, key] = loosest(out.get((kind, key), own[key]), values)
+    return out
 
 
 class _Placed(NamedTuple):

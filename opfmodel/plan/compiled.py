@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from opfmodel.errors import IncompatibleError, ModelError, QuantityError, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Model
-from opfmodel.network.series import clocked_fields, fields_with_series, widest
+from opfmodel.network.series import clocked_fields, fields_with_series, governed_fields, widest
 from opfmodel.plan.outages import lost_fields, status_at
 from opfmodel.plan.parts import absent_devices, publishing
 from opfmodel.plan.result import penalty_outputs
@@ -96,6 +96,7 @@ def declared(problem: MultiStage, horizon: Horizon) -> Model:
         series={
             *fields_with_series(problem.profiles, problem.arrays),
             *clocked_fields(problem.arrays),
+            *governed_fields(problem.profiles, problem.arrays),
             *own,
             *outage_fields(problem.security, horizon),
             *lost,

@@ -25,7 +25,7 @@ from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Publ
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
-from opfmodel.network.series import check_clocked, check_series, clocked, window
+from opfmodel.network.series import check_clocked, check_series, clocked, governed, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.compiled import Compiled, compiled, declared
@@ -531,15 +531,22 @@ class MultiStage:
         ProfileError, ModelError
             A series of the profiles or of the objective ends before the window does.
         """
-        return self.arrays.with_series(self._series(start, steps, objective))
+        series = self._series(start, steps, objective)
+        return self.arrays.with_series(self._governed(series, start, Horizon.chain(steps, self.step)))
 
     def ahead(self, time: int) -> Fields:
         """Return the data at the nodes of the plan from a step on, ``(items, nodes)`` per unit."""
         horizon = self.horizon_from(time)
         check_clocked(self.network, self.arrays, self.times(time, horizon), horizon.lengths)
-        return over_nodes([self._series(time, horizon.steps)], horizon, self.arrays)
+        ahead = over_nodes([self._series(time, horizon.steps)], horizon, self.arrays)
+        return self._governed(ahead, time, horizon)
 
-    def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None) -> Fields:
+    def _governed(self, series: Fields, time: int, horizon: Horizon) -> Fields:
+        """Return series at the nodes of a plan with the quantities that depend on others in each stage."""
+        before = window(self.profiles, self.arrays, time - 1, 1, self.at_end == "repeat") if time > 0 else {}
+        return governed(series, self.profiles, self.arrays, horizon.parent, horizon.hours, before)
+
+    def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None, time: int = 0) -> Fields:
         """Return expected series at the nodes of the horizon, as :meth:`solve` takes them.
 
         Parameters
@@ -548,6 +555,8 @@ class MultiStage:
             Series of ``horizon.steps`` values, one set per future of the horizon or one for all.
         horizon
             That of the plan, see :meth:`horizon_from`; by default that of the problem.
+        time
+            First step of the plan.
 
         Returns
         -------
@@ -556,7 +565,7 @@ class MultiStage:
         """
         nodes = self.horizon if horizon is None else horizon
         ahead = [window(own, self.arrays, 0, nodes.steps) for own in futures]
-        return over_nodes(ahead, nodes, self.arrays)
+        return self._governed(over_nodes(ahead, nodes, self.arrays), time, nodes)
 
     def _series(self, start: int, steps: int, objective: Objective | None = None) -> Fields:
         """Return the time series of a window by ``(kind, field)``, per unit ``(items, steps)``."""

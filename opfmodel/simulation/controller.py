@@ -188,7 +188,7 @@ class Controller:
             futures = list(self.futures.series)
             for name, future in zip(horizon.scenarios, futures, strict=True):
                 self._check_expected(future, f"{where}, scenario {name!r}")
-        ahead = problem.expected(futures, horizon)
+        ahead = problem.expected(futures, horizon, time)
         if ("generator", "p_max") in ahead:  # never below minimum output
             least = ahead.get(("generator", "p_min"), problem.arrays.generator.p_min)
             ahead["generator", "p_max"] = np.maximum(ahead["generator", "p_max"], least)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.check.trajectories import Array, Items
 
@@ -14,16 +15,26 @@ if TYPE_CHECKING:
 __all__ = ["check_capability"]
 
 
-def check_capability(checker: Checker, units: Items, active: str, reactive: str) -> None:
-    """Check that the power of units is within their polygons, or their range without reactive power."""
-    curved = units.where([points is not None for points in units.each("capability")])
+def check_capability(
+    checker: Checker, units: Items, active: str, reactive: str, running: npt.ArrayLike = True
+) -> None:
+    """Check that the power of units is within their polygons, or their range without reactive power.
+
+    Parameters
+    ----------
+    running
+        Which units run, ``(items, 1)`` or ``(items, stages)``.
+    """
+    limited = np.array([points is not None for points in units.each("capability")], dtype=bool)
+    curved = units.where(limited)
     if not curved.names:
         return
     p = curved.values(active)
     q = curved.values(reactive) if checker.reactive else None
     each = zip(curved.each("capability"), p, p if q is None else q, strict=True)
     excess = np.array([_beyond(np.array(c, dtype=float), at, r, flat=q is None) for c, at, r in each])
-    checker.note(f"{units.kind} capability", curved.names, np.where(curved.status() > 0, excess, 0.0), "MVA")
+    at_work = (curved.status() > 0) & np.broadcast_to(running, (limited.size, p.shape[1]))[limited]
+    checker.note(f"{units.kind} capability", curved.names, np.where(at_work, excess, 0.0), "MVA")
 
 
 def _beyond(corners: Array, p: Array, q: Array, *, flat: bool) -> Array:

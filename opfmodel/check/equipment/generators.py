@@ -10,7 +10,8 @@ import numpy as np
 
 from opfmodel.check.equipment.base import Equipment
 from opfmodel.check.equipment.capability import check_capability
-from opfmodel.check.trajectories import Array, Complex
+from opfmodel.check.trajectories import Array, Bounds, Complex, Items
+from opfmodel.data.series import SeriesKey
 from opfmodel.network.components import Generator
 from opfmodel.network.costs import PiecewiseLinear
 
@@ -25,10 +26,10 @@ class Generators(Equipment):
     def check(self) -> None:
         """Check limits and ramps; a ramp is known only where the dispatch before it is."""
         checker, units = self.checker, self.items
-        checker.inside("generator p", units, units.values("pg"), units.left("p"), "MW")
+        checker.inside("generator p", units, units.values("pg"), self._running("p"), "MW")
         if checker.reactive:
-            checker.inside("generator q", units, units.values("qg"), units.left("q"), "MVAr")
-        check_capability(checker, units, "pg", "qg")
+            checker.inside("generator q", units, units.values("qg"), self._running("q"), "MVAr")
+        check_capability(checker, units, "pg", "qg", units.number("on") > 0)
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
         known = checker.previous_pg or {}
         before = np.array([known.get(name, math.nan) for name in ramped.names]).reshape(-1, 1)
@@ -36,7 +37,30 @@ class Generators(Equipment):
         change[np.diff(ramped.status(), axis=1, prepend=1.0) != 0] = 0.0  # a unit trips, or returns
         change[np.isnan(change)] = 0.0
         between = 0.5 * (checker.hours + np.concatenate([checker.hours[:1], checker.hours[:-1]]))
-        checker.note("ramp", ramped.names, change - ramped.number("ramp") * between, "MW")
+        most = ramped.number("ramp") * between
+        # a unit that starts up or shuts down may move by its minimum output
+        started = np.abs(np.diff(ramped.number("on"), axis=1, prepend=self._on_before(ramped)))
+        most = most + started * np.maximum(ramped.bounds("p")[0] - most, 0.0)
+        checker.note("ramp", ramped.names, change - most, "MW")
+
+    def _running(self, field: str) -> Bounds:
+        """Minimum and maximum of the part that runs."""
+        on = np.broadcast_to(self.items.number("on"), self.items.values("pg").shape)
+        low, high = (
+            np.multiply(on, end, out=np.zeros_like(on), where=on > 0) for end in self.items.left(field)
+        )
+        return low, high
+
+    @staticmethod
+    def _on_before(units: Items) -> Array:
+        """The part that ran before the first stage; that of the first stage if it is not known."""
+        at, first = units.trajectories, units.number("on")[:, :1].copy()
+        step = int(at.begins[0]) - 1
+        for row, name in enumerate(units.names):
+            key = SeriesKey(name, "on")
+            if step >= 0 and key in at.series:
+                first[row] = at.series[key][step]
+        return first
 
     def power(self) -> Iterator[tuple[list[str], Complex]]:
         """Yield what is generated."""
@@ -47,12 +71,14 @@ class Generators(Equipment):
         piecewise = [isinstance(cost, PiecewiseLinear) for cost in self.items.each("cost")]
         smooth, linear = self.items.where([not p for p in piecewise]), self.items.where(piecewise)
         costs, pg = replace(smooth, members=smooth.each("cost")), smooth.values("pg")
-        rate = costs.number("c2") * pg**2 + costs.number("c1") * pg + costs.number("c0")
+        rate = costs.number("c2") * pg**2 + costs.number("c1") * pg + smooth.number("on") * costs.number("c0")
         rate = (rate * smooth.status()).sum(axis=0)
-        for name, cost, dispatch, status in zip(
-            linear.names, linear.each("cost"), linear.values("pg"), linear.status(), strict=True
+        running = np.broadcast_to(linear.number("on"), linear.values("pg").shape)
+        for name, cost, dispatch, on, status in zip(
+            linear.names, linear.each("cost"), linear.values("pg"), running, linear.status(), strict=True
         ):
-            rate += status * self._of_segments(name, cost, dispatch)
+            of_running = np.divide(dispatch, on, out=np.zeros_like(dispatch), where=on > 0)
+            rate += status * on * self._of_segments(name, cost, of_running)
         return np.asarray(rate)
 
     def _of_segments(self, name: str, cost: PiecewiseLinear, dispatch: Array) -> Array:

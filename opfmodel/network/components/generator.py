@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
 
 from opfmodel.network.component import Component, component
 from opfmodel.network.components.capability import capability, check_capability
@@ -20,6 +23,9 @@ class Generator(Component):
     kind: ClassVar[str] = "generator"
     plural: ClassVar[str] = "generators"
     lost: ClassVar[Mapping[str, float]] = {"p_min": 0, "p_max": 0, "q_min": 0, "q_max": 0, "ramp": INF}
+    governs: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "on": ("status", "p_min", "p_max", "q_min", "q_max", "ramp", "c0", "segment_offset")
+    }
 
     bus: str = at_bus()
     p: tuple[float, float] = span("MW", averaged=True, description="(min, max) of active power.")
@@ -31,6 +37,13 @@ class Generator(Component):
         optional=True,
         finite=False,
         description="Maximum change of active power; none for no limit.",
+    )
+    on: float = number(
+        "",
+        1.0,
+        at_least=0.0,
+        at_most=1.0,
+        description="1 while it runs and 0 while it is shut down, usually a series; multiplies its limits.",
     )
     cost: Cost = cost_of(Polynomial(), "Cost of active power: a Polynomial or PiecewiseLinear.")
     pg_set: float | None = number(
@@ -74,3 +87,27 @@ class Generator(Component):
         """Raise :class:`ComponentError` if a field breaks a rule or no power is within all limits."""
         super().check(name)
         check_capability(name, self.capability, self.p, self.q)
+
+    @classmethod
+    def in_stages(
+        cls,
+        arrays: Mapping[str, npt.NDArray[Any]],
+        before: Mapping[str, npt.NDArray[np.float64]],
+        hours: npt.NDArray[np.float64],
+    ) -> Mapping[str, npt.NDArray[np.float64]]:
+        """Return limits and constant costs, which are those of the part that runs.
+
+        A unit that starts up or shuts down may move by its minimum output if its ramp allows less.
+        """
+        on, ramp = arrays["on"], arrays["ramp"]
+        started = np.abs(on - before["on"])
+        made = {key: on * arrays[key] for key in ("p_min", "p_max", "c0")}
+        with np.errstate(invalid="ignore"):  # no limit, and shut down
+            made |= {
+                key: np.nan_to_num(on * arrays[key], nan=0.0, posinf=INF, neginf=-INF)
+                for key in ("q_min", "q_max")
+            }
+        made["segment_offset"] = on[arrays["segment_owner"]] * arrays["segment_offset"]
+        made["ramp"] = ramp + started * np.maximum(arrays["p_min"] / hours - ramp, 0.0)
+        made["status"] = arrays["status"] * (on > 0.0)
+        return made
