@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from opfmodel.errors import IncompatibleError
 from opfmodel.horizon import Horizon
@@ -16,66 +17,65 @@ from solvers import Expression, largest, total
 
 __all__ = ["BudgetDevice"]
 
-_SAME = 1e-6  # relative
+_SAME = 1e-6  # h, and relative
 
 
 class BudgetDevice(Device):
     r"""Stocks of a limited amount per period, of which a plan uses no more than its share.
 
     .. math::
-        b(k+1) = \kappa\, b(k) + (1 - \kappa)\, B - \Delta\, (u - o), \quad b, o \ge 0, \quad
+        b(k+1) = \kappa\, b(k) + (1 - \kappa)\, B - \Delta\, u, \quad
         u = \sum_i w_i p^g_i + \sum_j w_j |p^s_j|
 
-    with :math:`\kappa = 0` in a stage that begins a period, else 1. At the end of the horizon
+    with :math:`\kappa = 0` in a stage that begins a period, else 1. At the end of a period
+    :math:`b + \Delta\, o \ge 0`, and at the end of the horizon, in the first period or in a later one,
 
     .. math::
-        b(N) + \Delta\, a \ge \frac{R}{R + H}\, b(0) \quad\text{or}\quad \frac{R}{hours}\, B, \quad a \ge 0
+        b(N) + \Delta\, o \ge \frac{R}{R + H}\, b(0) \quad\text{or}\quad \frac{R}{hours}\, B
 
-    in the first period or in a later one, with the length H of the horizon and the hours R of the period that
-    are left after it. Overspending o, and a above the share, are zero or have a cost.
+    with the length H of the horizon and the hours R of the period that are left after it. Overspending o is
+    zero or has a cost.
     """
 
     component = Budget
     physical = False
 
     def declare(self, model: Model, table: Table) -> None:
-        """Declare ``budget_left``, ``budget_used``, ``budget_over`` and ``budget_ahead``."""
+        """Declare ``budget_left``, ``budget_used`` and ``budget_over``."""
         horizon, items = model.horizon, np.arange(len(table))
         _check(table, horizon)
+        # what is used never returns, unless a weight is negative: then limits hold at the end of every stage
         left, left_next = model.stock(
-            "budget", "budget_left", 0.0, np.inf, initial="left", ends=False,
+            "budget", "budget_left", -np.inf, np.inf, initial="left", ends=False,
             unit="units", description="units of the budget that are left",
         )  # fmt: skip
         used = model.build.variable("budget use", items.size, model.stages)
         model.publish("budget", "budget_used", used, unit="units/h", description="units of the budget used")
-        over = model.variable(
-            "budget", "budget_over", 0.0, _priced, unit="units/h", start=0.0,
-            description="units used that the budget no longer has",
-            soft=Soft("budget", items, "", above="is overspent by {} units"),
-        )  # fmt: skip
         last = np.isin(horizon.owner, horizon.leaves)
-        ahead = model.variable(
-            "budget", "budget_ahead", 0.0, lambda t: np.where(last, _priced(t), 0.0),
-            unit="units/h", start=0.0,
-            description="units used above the share of the horizon in the budget, at its end",
-            soft=Soft("share of a budget", items, "", above="needs {} units more than its share"),
+
+        def most(table: Table) -> Array:
+            settled = last | (table.remaining < _SAME) | (_before(horizon)(table) > _SAME)
+            return np.where(settled & np.isfinite(table.over_cost), np.inf, 0.0)
+
+        soft = Soft("budget", items, "", above="is overspent by {} units")
+        over = model.variable(
+            "budget", "budget_over", 0.0, most, unit="units/h", start=0.0, soft=soft,
+            description="units used above the amount, or above the share of the horizon at its end",
         )  # fmt: skip
         if not items.size:
             return
         self._count(model, table, used)
-        net = used - over
-        counted = (
-            model.step if horizon.is_even else model.of_fields("budget", "budget hours", _counted(horizon))
-        )
+        even, regular = horizon.is_even, np.arange(len(horizon.regular))
+        counted = model.step if even else model.of_fields("budget", "budget hours", _counted(horizon))
         dynamics = model.build.rows("budget_dynamics", items.size, model.stages)
-        change = left_next - model.field("budget", "carried") * left + counted * net
+        change = left_next - model.field("budget", "carried") * left + counted * used
         model.build.add(change - model.of_fields("budget", "budget refill", _refill), into=dynamics)
-        if not horizon.is_even:  # periods may end within a stage, and must be within the budget until then
-            before = model.of_fields(
-                "budget", "budget hours before", lambda t: horizon.hours - _counted(horizon)(t)
-            )
-            model.rows("budget", "budget_before", left - before * net, 0.0, np.inf)
-        self._share(model, left, left_next, ahead)
+        self._limit(model, table, left, left_next + model.step * over)
+        if not even:  # a period may end within a stage
+            before = model.of_fields("budget", "budget hours before", _before(horizon))
+            body = (left - before * used + model.step * over)[:, regular]
+            ends = _least(lambda t: _before(horizon)(t) > _SAME)
+            model.rows("budget", "budget_before", body, ends, np.inf, nodes=regular)
         model.price(
             "budget",
             "budget_price",
@@ -98,8 +98,14 @@ class BudgetDevice(Device):
             model.build.add(-weight * quantity, into=rows[owner][:, regular])
 
     @staticmethod
-    def _share(model: Model, left: Expression, left_next: Expression, ahead: Expression) -> None:
-        """State what has to be left at the end of each scenario."""
+    def _limit(model: Model, table: Table, left: Expression, paid: Expression) -> None:
+        """State what has to be left at the end of each period, and at the end of each scenario.
+
+        Parameters
+        ----------
+        paid
+            What is left at the end of each stage, with overspending.
+        """
         horizon = model.horizon
         leaves, hours = horizon.leaves, horizon.hours
 
@@ -120,18 +126,30 @@ class BudgetDevice(Device):
 
         part = model.of_fields("budget", "budget share", of_left, leaves)
         least = model.of_fields("budget", "budget share later", of_amount, leaves)
-        kept = model.leaves(left_next) + hours[None, leaves] * model.leaves(ahead)
-        body = kept - part * left[:, horizon.roots[:1]] - least
+        body = model.leaves(paid) - part * left[:, horizon.roots[:1]] - least
         model.whole.append(model.rows("budget", "budget_share", body, 0.0, np.inf, nodes=leaves).name)
+        regular, inner = np.arange(len(horizon.regular)), np.ones(len(horizon), dtype=bool)
+        inner[leaves] = inner[horizon.contingencies] = False
+        ends = _least(lambda t: inner & (t.remaining < _SAME))
+        model.rows("budget", "budget_end", paid[:, regular], ends, np.inf, nodes=regular)
+        refilled = np.unique(
+            np.concatenate([owner[weight[:, 0] < 0] for _, owner, _, weight, _ in _uses(table)])
+        )
+        if refilled.size:
+            body = paid[refilled][:, regular]
+            hard = np.isinf(table.over_cost[refilled])
+            soft = Soft("budget", refilled, "", below="is overspent by {} units")
+            lower = np.where(hard, 0.0, -np.inf)
+            model.rows("budget", "budget_within", body, lower, np.inf, soft, nodes=regular)
 
     def cost(self, stage: Stage) -> Any:
         """Return the cost of overspending, $/h."""
         g = stage.budget
         price = np.where(np.isfinite(g.over_cost), g.over_cost, 0.0)
-        return total(price * (g.budget_over + g.budget_ahead))
+        return total(price * g.budget_over)
 
     def follow(self, stage: NumericStage) -> Mapping[str, Array]:
-        """Return what is used and left; without decisions, what exceeds the budget is overspent."""
+        """Return what is used and left; without decisions, what exceeds the budget is overspent at once."""
         budgets, horizon, table = stage.budget, stage.horizon, stage.network.tables["budget"]
         shape = len(table), len(horizon)
         used = np.zeros(shape)
@@ -139,20 +157,19 @@ class BudgetDevice(Device):
             quantity = stage.values[kind, counted.quantity][member]
             np.add.at(used, owner, weight * (np.abs(quantity) if counted.magnitude else quantity))
         decided = "budget_over" in budgets
-        over = np.array(budgets.budget_over) if decided else np.zeros(shape)
         carried, refill = (np.broadcast_to(values, shape) for values in (table.carried, _refill(table)))
         hours = np.broadcast_to(_counted(horizon)(table), shape)
         left, left_next = np.array(budgets.budget_left, dtype=float), np.zeros(shape)
+        over = np.zeros(shape)
         for node, parent in enumerate(horizon.parent):
             if parent >= 0:
                 left[:, node] = left_next[:, parent]
-            kept = carried[:, node] * left[:, node] + refill[:, node]
-            end = kept - hours[:, node] * (used[:, node] - over[:, node])
+            end = carried[:, node] * left[:, node] + refill[:, node] - hours[:, node] * used[:, node]
             if not decided:
-                over[:, node] = np.maximum(-end, 0.0) / hours[:, node]
-            left_next[:, node] = np.maximum(end, 0.0)
+                over[:, node] = np.maximum(-end, 0.0) / horizon.hours[node]
+            left_next[:, node] = end if decided else np.maximum(end, 0.0)
         made = {"budget_used": used, "budget_left": left, "budget_left_next": left_next}
-        return made if decided else {**made, "budget_over": over, "budget_ahead": np.zeros(shape)}
+        return made if decided else {**made, "budget_over": over}
 
 
 def _check(table: Table, horizon: Horizon) -> None:
@@ -169,11 +186,6 @@ def _check(table: Table, horizon: Horizon) -> None:
             )
 
 
-def _priced(table: Table) -> Array:
-    """Return the most that may be overspent: anything if it has a cost."""
-    return np.where(np.isfinite(table.over_cost), np.inf, 0.0)
-
-
 def _refill(table: Table) -> Array:
     """Return the amount in the stages that begin a period."""
     return np.asarray((1.0 - table.carried) * table.amount)
@@ -182,6 +194,16 @@ def _refill(table: Table) -> Array:
 def _counted(horizon: Horizon) -> Callable[[Table], Array]:
     """Return the hours of each stage in the period in which it ends."""
     return lambda table: np.minimum(horizon.hours, table.hours - table.remaining)
+
+
+def _before(horizon: Horizon) -> Callable[[Table], Array]:
+    """Return the hours of each stage in an earlier period."""
+    return lambda table: np.asarray(horizon.hours - _counted(horizon)(table))
+
+
+def _least(limited: Callable[[Table], npt.NDArray[np.bool_]]) -> Callable[[Table], Array]:
+    """Return a lower limit of zero where something holds, and none elsewhere."""
+    return lambda table: np.where(limited(table), 0.0, -np.inf)
 
 
 def _uses(table: Table) -> Iterator[tuple[str, Index, Index, Array, Use]]:

@@ -359,7 +359,7 @@ def _errors_of_buses(network: Network) -> Iterator[ComponentError]:
 
 
 def _errors_of_weights(network: Network) -> Iterator[ComponentError]:
-    """Yield an error for every name in a field of weights that is not one of its kinds."""
+    """Yield an error for every name in a field of weights that is not of its kinds, or has no such number."""
     for name in network:
         component = network[name]
         for key, of in component.weight_fields().items():
@@ -367,6 +367,9 @@ def _errors_of_weights(network: Network) -> Iterator[ComponentError]:
             for member, weight in getattr(component, key).items():
                 if member not in known:
                     rule = f"no {' or '.join(of)} has this name; {nearest(member, known)}"
+                    yield ComponentError(name, f"{key}.{member}", weight, rule)
+                elif weight < 0 and network[member].kind in component.fields()[key].metadata["positive"]:
+                    rule = f"must be at least 0 for a {network[member].kind}"
                     yield ComponentError(name, f"{key}.{member}", weight, rule)
 
 

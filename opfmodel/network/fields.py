@@ -195,7 +195,14 @@ def cost_of(default: Any, description: str) -> Any:
     return field(default=default, metadata={"form": "cost", "unit": "", "description": description})
 
 
-def weights(unit: str, *, of: Sequence[str], default: Any = MISSING, description: str = "") -> Any:
+def weights(
+    unit: str,
+    *,
+    of: Sequence[str],
+    positive: Sequence[str] = (),
+    default: Any = MISSING,
+    description: str = "",
+) -> Any:
     """Declare a field that holds a number for each of some components, by name.
 
     The arrays hold one entry per name, by kind of the named component: ``<field>_<kind>``, the numbers, and
@@ -206,10 +213,19 @@ def weights(unit: str, *, of: Sequence[str], default: Any = MISSING, description
     ----------
     of
         Kinds of the components that may be named.
+    positive
+        Those for which the number must be at least 0.
     unit, description
         As for :func:`number`.
     """
-    metadata = {"form": "weights", "unit": unit, "series": False, "of": tuple(of), "description": description}
+    metadata = {
+        "form": "weights",
+        "unit": unit,
+        "series": False,
+        "of": tuple(of),
+        "positive": tuple(positive),
+        "description": description,
+    }
     if default is MISSING:
         return field(metadata=metadata)
     return field(default_factory=lambda: dict(default), metadata=metadata)

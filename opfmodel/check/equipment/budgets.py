@@ -33,14 +33,17 @@ class Budgets(Equipment):
         wrong = np.abs(used - self._used()) * checker.hours
         checker.note("budget use", budgets.names, wrong / share, "p.u.")
         carried, counted = self._periods()
-        before = carried * left + (1.0 - carried) * amount
-        change = before - counted * (used - over) - left_next
-        checker.note("budget dynamics", budgets.names, np.abs(change) / share, "p.u.")
+        end = carried * left + (1.0 - carried) * amount - counted * used
+        # a plan may owe until its period ends; in a run each step settles what it overspends
+        plan, run = np.abs(left_next - end), np.abs(left_next - np.maximum(end, 0.0))
+        checker.note("budget dynamics", budgets.names, np.minimum(plan, run) / share, "p.u.")
         gap = np.abs(left[:, 1:] - left_next[:, :-1])
         checker.note("budget continuity", budgets.names, np.pad(gap, ((0, 0), (0, 1))) / share, "p.u.")
         hard = np.array([price is None for price in budgets.each("over_cost")])[:, None]
+        ending = np.pad(carried[:, 1:] == 0, ((0, 0), (0, 1)))
+        owed = np.where(run < plan, -end, np.where(ending, -left_next, 0.0)) - over * checker.hours
         exceeded = np.where(hard, over * checker.hours, 0.0)
-        checker.note("budget", budgets.names, np.maximum(exceeded, -left_next) / share, "p.u.")
+        checker.note("budget", budgets.names, np.maximum(exceeded, owed) / share, "p.u.")
 
     def _used(self) -> Array:
         """What is used in each stage, units per hour, from the power of the units."""
@@ -70,5 +73,4 @@ class Budgets(Equipment):
         if not self.items.names or not self.checker.has("budget_over"):
             return 0.0
         price = np.array([cost or 0.0 for cost in self.items.each("over_cost")])[:, None]
-        over = self.items.values("budget_over") + self.items.values("budget_ahead")
-        return np.asarray((price * over).sum(axis=0))
+        return np.asarray((price * self.items.values("budget_over")).sum(axis=0))
