@@ -152,7 +152,7 @@ CLASSES: Mapping[str, Attributes] = {
         },
     ),
     "processes": Attributes(whole="no component converts power between buses"),
-    "global_constraints": Attributes(whole="it is no part of a network; add it with MultiStage.constrain"),
+    "global_constraints": Attributes(whole="add it as a Budget, or with MultiStage.constrain"),
     # without effect unless another component refers to them
     "carriers": Attributes(unused=_of("name co2_emissions color nice_name max_growth max_relative_growth")),
     "line_types": Attributes(
