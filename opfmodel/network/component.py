@@ -280,7 +280,7 @@ class Component:
         --------
         >>> from opfmodel.network import Load
         >>> list(Load.table_fields())
-        ['p', 'q']
+        ['p', 'q', 'shed_cost']
         """
         made = {}
         for name, item in cls.fields().items():
