@@ -128,6 +128,17 @@ def test_converters_support_the_voltage() -> None:
     sound(grid, plan.data)
 
 
+def test_losses_of_lines_count_where_losses_are_minimised() -> None:
+    grid = zones()
+    plan = om.MultiStage(grid, objective=om.LossMinimisation()).solve()
+    (pf,), _ = flows(plan)
+    assert pf == pytest.approx(0.0, abs=1e-3)  # the east supplies itself; the fixed loss stays
+    lost = plan.data.dc_line_loss.values.sum() + (plan.data.pf + plan.data.pt).values.sum()
+    assert plan.data.dc_line_loss.values[0, 0] == pytest.approx(1.0, abs=1e-4)
+    assert plan.objective == pytest.approx(lost, rel=1e-6)
+    sound(grid, plan.data)
+
+
 def test_power_is_wasted_only_at_negative_prices() -> None:
     grid = zones(loss_fixed=0.0)
     for unit in ("coal", "gas"):
@@ -337,7 +348,7 @@ def test_pypsa_finds_the_same_optimum_of_a_day() -> None:
         ({"p_nom_extendable": True}, r"Link p_nom_extendable: .*its capacity is a decision"),
         ({"committable": True}, r"Link committable: .*always on"),
         ({"ramp_limit_up": 0.5}, r"Link ramp_limit_up: .*no ramp limit"),
-        ({"bus2": "south", "efficiency2": 0.3}, r"Link bus2: .*a DC line has two ends"),
+        ({"bus2": "south", "efficiency2": 0.3}, r"Link bus2: .*whose DC lines have two ends"),
     ],
 )
 def test_links_that_are_no_dc_lines_are_losses(change: dict[str, Any], message: str) -> None:
@@ -412,8 +423,8 @@ def test_what_matpower_states_otherwise_is_reported(case9: dict[str, Any], tmp_p
 def test_pandapower_files_do_not_hold_them(tmp_path: Path) -> None:
     pytest.importorskip("pandapower")
     grid = zones()
-    for bus in ("west", "east"):
-        grid.update(bus, reference=True)
+    for bus in ("west", "coast", "east"):
+        grid.update(bus, reference=bus != "coast", base_kv=380.0)
     with pytest.raises(CaseError, match="dc lines link"):
         write_pandapower(grid, tmp_path / "grid.json")
 

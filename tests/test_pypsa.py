@@ -231,6 +231,7 @@ def _one_of_each() -> pypsa.Network:
     n.add("StorageUnit", "hydro", bus="b", p_nom=10, max_hours=4)
     n.add("Store", "tank", bus="b", e_nom=10)
     n.add("ShuntImpedance", "coil", bus="b", b=1e-4)
+    n.add("Link", "cable", bus0="a", bus1="b", p_nom=5, efficiency=0.9)
     return n
 
 

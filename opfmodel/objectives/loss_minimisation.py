@@ -14,12 +14,13 @@ __all__ = ["LossMinimisation"]
 
 
 class LossMinimisation(Objective):
-    r"""Active power lost in the branches, at a price.
+    r"""Active power lost in branches and DC lines, at a price.
 
     .. math::
         \ell = \pi \sum_b (p^f_b + p^t_b)
 
-    in $/h. In a lossless formulation (``dc``) the cost is zero, and every dispatch is optimal.
+    in $/h, over branches and DC lines. In a lossless formulation (``dc``), branches add nothing; without DC
+    lines, every dispatch is optimal.
 
     Parameters
     ----------
@@ -36,4 +37,7 @@ class LossMinimisation(Objective):
     def stage_cost(self, stage: Stage) -> Any:
         """Return the price times the losses."""
         branch = stage.branch
-        return self.price * stage.network.base_mva * total(branch.pf + branch.pt)
+        lost = total(branch.pf + branch.pt)
+        if len(stage.network.tables["dc_line"]):
+            lost = lost + total(stage.dc_line.dc_line_loss)
+        return self.price * stage.network.base_mva * lost

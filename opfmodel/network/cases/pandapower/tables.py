@@ -127,6 +127,7 @@ IGNORED: Mapping[str, frozenset[str]] = {
     "gen": _columns("sn_mva type slack_weight vn_kv xdss_pu rdss_ohm cos_phi power_station_trafo pg_percent"),
     "ext_grid": _columns("slack_weight s_sc_max_mva s_sc_min_mva rx_max rx_min r0x0_max x0x_max"),
     "storage": _columns("sn_mva type"),
+    "dcline": _columns("min_p_mw"),  # runopp does not read it
     "motor": _columns(f"cos_phi_n efficiency_n_percent {_SHORT_CIRCUIT}"),
     "asymmetric_load": _columns("sn_a_mva sn_b_mva sn_c_mva sn_mva type"),
     "asymmetric_sgen": _columns("sn_a_mva sn_b_mva sn_c_mva sn_mva type current_source"),

@@ -55,6 +55,8 @@ class Attributes:
         What is lost with an attribute that differs from its default.
     whole
         What is lost with every component of the class; empty if components are represented.
+    unknown
+        What is lost with an attribute that is in none of these groups.
     """
 
     used: frozenset[str] = frozenset()
@@ -62,6 +64,7 @@ class Attributes:
     unused: frozenset[str] = frozenset()
     lost: Mapping[str, str] = field(default_factory=dict)
     whole: str = ""
+    unknown: str = "an attribute unknown to opfmodel"
 
 
 CLASSES: Mapping[str, Attributes] = {
@@ -140,7 +143,11 @@ CLASSES: Mapping[str, Attributes] = {
     "links": Attributes(
         used=_of("name bus0 bus1 p_nom p_min_pu p_max_pu p_set marginal_cost active"),
         constant=_of("efficiency"),
-        unused=_NAMED - {"name"} | _PLANNING | _POWER_PLANNING | _COMMITMENT | _of("p_init cyclic_delay"),
+        unused=_NAMED - {"name"}
+        | _PLANNING
+        | _POWER_PLANNING
+        | _COMMITMENT
+        | _of("length p_init cyclic_delay"),
         lost={
             "p_nom_extendable": _EXTENDABLE,
             "committable": "its commitment is a decision; it is always on",
@@ -148,8 +155,8 @@ CLASSES: Mapping[str, Attributes] = {
             "ramp_limit_up": "the power of a DC line has no ramp limit",
             "ramp_limit_down": "the power of a DC line has no ramp limit",
             "delay": "what a DC line sends arrives at once",
-            **dict.fromkeys(("bus2", "bus3", "bus4"), "a DC line has two ends"),
         },
+        unknown="unknown to opfmodel, whose DC lines have two ends",
     ),
     "processes": Attributes(whole="no component converts power between buses"),
     "global_constraints": Attributes(whole="add it as a Budget, or with MultiStage.constrain"),
@@ -214,7 +221,7 @@ def _losses(components: Any, known: Attributes, names: list[str]) -> Iterator[tu
         if differing:
             first = np.ravel(values[differing[0]])
             value = next(v for v in first if _differs(v, default))
-            reason = known.lost.get(attribute, "an attribute unknown to opfmodel")
+            reason = known.lost.get(attribute, known.unknown)
             yield (
                 attribute,
                 f"{shown(getattr(value, 'item', lambda v=value: v)())} of {_quoted(differing)}: {reason}",
