@@ -56,11 +56,12 @@ def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, 
         The outage of a branch splits the grid.
     """
     made = _names(names, "outages")
+    *kinds, last = _LOST
     known = [name for kind in _LOST for name in network.tables[kind].names]
     for name in made:
         if name not in known:
             raise ModelError(
-                f"outages: {shown(name)}: no {' or '.join(_LOST)} in service has this name; "
+                f"outages: {shown(name)}: no {', '.join(kinds)} or {last} in service has this name; "
                 f"{nearest(str(name), known)}"
             )
         check_whole((name,), network, "outages")
