@@ -51,6 +51,7 @@ class RenewableDevice(Device):
                 unit="MVAr",
                 description="reactive power of renewables",
             )
+            model.regularise(q)  # it costs nothing
             self._limit(model, table, p, q)
         model.inject(table.bus, p=p, q=q)
 
