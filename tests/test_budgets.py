@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from pypsa_networks import snapshots
 from scipy.optimize import linprog
 
 import opfmodel as om
+from opfmodel.analysis.subject import Subject
 from opfmodel.check import check
 from opfmodel.data.calendar import Calendar
-from opfmodel.errors import ComponentError, IncompatibleError
+from opfmodel.errors import CaseWarning, ComponentError, IncompatibleError
 from opfmodel.forecasts.noisy import Noisy
 from opfmodel.simulation import Controller, NominalPlant, Plant, simulate
 
@@ -259,6 +261,7 @@ def test_realised_overspending_costs() -> None:
     assert over.min() > 0.1
     assert run.cost == pytest.approx(float((pg @ [10, 30] + 100 * over).sum()), rel=1e-9)
     assert run.data.budget_left.values[1, 0] == 0.0
+    assert run.summary()["overspent_units"] == {"cap": pytest.approx(over.sum())}
 
 
 def test_outages_that_have_not_happened_use_nothing() -> None:
@@ -340,7 +343,7 @@ def test_the_check_finds_falsified_results(quantity: str, family: str) -> None:
     assert check(grid, data).violations[family].value == pytest.approx(0.01, rel=1e-4)
 
 
-def test_a_scenario_file_has_budgets(tmp_path) -> None:
+def test_a_scenario_file_has_budgets(tmp_path: Path) -> None:
     file = tmp_path / "budget.yaml"
     file.write_text(
         """
@@ -360,3 +363,39 @@ time: {steps: 6}
     assert left[3] == pytest.approx(0.0, abs=1e-3)
     assert left[4] >= 35.0
     assert scenario.network["cap"] == om.Budget(amount=60, uses={"coal": 0.5}, hours=4)
+
+
+@pytest.mark.parametrize("time", [0, 7])
+def test_the_price_is_the_value_of_one_more_unit(time: int) -> None:
+    tree = om.Horizon.tree([1, 2, 3], {"low": 0.3, "high": 0.7}, common=1)
+    problem = om.MultiStage(system(), tree, formulation="dc")
+    costs = [problem.solve(time, {"budget_left": [left]}).objective for left in (300.0, 301.0)]
+    share = 1.0 - (24 - time - 6) / (24 - time)  # of one more unit, which the plan may use
+    assert costs[0] - costs[1] == pytest.approx(25.0 * share, rel=1e-4)
+    assert problem.solve(time, {"budget_left": [300.0]}).data.budget_price.values == pytest.approx(
+        np.full((5, 1), 25.0), rel=1e-4
+    )
+
+
+def test_a_budget_has_no_steady_state() -> None:
+    with pytest.raises(IncompatibleError, match="cap: budgets depend on the time of day"):
+        Subject(om.MultiStage(system(), 3, formulation="dc"))
+
+
+@pytest.mark.filterwarnings("ignore::opfmodel.errors.CaseWarning")
+def test_a_matpower_case_has_no_budgets(tmp_path: Path) -> None:
+    with pytest.warns(CaseWarning, match="budgets cap: MATPOWER has no such equipment"):
+        om.write_network(system(), tmp_path / "case.m")
+
+
+@pytest.mark.parametrize("time", [1, 3, 6])
+def test_overspending_where_a_period_ends_within_a_stage(time: int) -> None:
+    grid = system(amount=100, hours=6, over_cost=7)
+    plan = om.MultiStage(grid, om.Horizon.grid([1, 1, 2, 4]), formulation="dc").solve(time)
+    report = check(grid, plan.data, first=time)
+    assert report.max_violation < 1e-6
+    assert report.cost == pytest.approx(plan.objective, rel=1e-9)
+    assert plan.data.pg.values[:, 1] == pytest.approx(np.zeros(4), abs=1e-4)  # 7 $ are less than 25 $
+    data = plan.data
+    data["budget_over"][:] = 0.0
+    assert check(grid, data, first=time).violations["budget"].value > 0.1

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from opfmodel.analysis.active import active_limits
 from opfmodel.analysis.problems import AtStep, constant_problem, convex_problem
 from opfmodel.analysis.progress import Advance, silent
-from opfmodel.errors import IncompatibleError, ModelError
+from opfmodel.errors import IncompatibleError, ModelError, listed
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import End, Initial, MultiStage, Plan
 from opfmodel.simulation import Controller
@@ -122,9 +122,21 @@ class Subject:
         Step whose demand, limits and costs are held constant.
     advance
         Called as work progresses.
+
+    Raises
+    ------
+    IncompatibleError
+        The problem has equipment without a steady state.
     """
 
     def __init__(self, problem: MultiStage, step: int = 0, advance: Advance = silent) -> None:
+        for device in problem.devices:
+            if device.component.clocked and not device.physical:
+                names = listed(problem.arrays.tables[device.component.kind].names)
+                raise IncompatibleError(
+                    f"{names}: {device.component.plural} depend on the time of day and have no steady state; "
+                    "analyse the scenario without them"
+                )
         self.problem, self.step, self.advance = problem, step, advance
 
     def problem_of(

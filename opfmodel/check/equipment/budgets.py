@@ -40,8 +40,12 @@ class Budgets(Equipment):
         gap = np.abs(left[:, 1:] - left_next[:, :-1])
         checker.note("budget continuity", budgets.names, np.pad(gap, ((0, 0), (0, 1))) / share, "p.u.")
         hard = np.array([price is None for price in budgets.each("over_cost")])[:, None]
-        ending = np.pad(carried[:, 1:] == 0, ((0, 0), (0, 1)))
-        owed = np.where(run < plan, -end, np.where(ending, -left_next, 0.0)) - over * checker.hours
+        within = (carried == 0) & (counted < checker.hours - _SAME)  # a period ends within the stage
+        ending = np.pad((carried == 0)[:, 1:] & ~within[:, 1:], ((0, 0), (0, 1)))
+        settled = np.where(
+            within, left - (checker.hours - counted) * used, np.where(ending, left_next, np.inf)
+        )
+        owed = -np.where(run < plan, end, settled) - over * checker.hours
         exceeded = np.where(hard, over * checker.hours, 0.0)
         checker.note("budget", budgets.names, np.maximum(exceeded, owed) / share, "p.u.")
 
