@@ -301,7 +301,7 @@ def grumpy(self, model, table) -> None:
         (furnace(component=int), "its component is a dataclass and a Component"),
         (furnace(component=Ladle), "its component is frozen': Ladle"),
         (furnace(component=om.Load), "the example is an instance of its component"),
-        (furnace(declare=idle), "injects power into the balance"),
+        (furnace(declare=idle), "injects power where it has a bus"),
         (furnace(declare=moody), "declares the same quantities under every formulation"),
         (furnace(declare=bent), "is convex .*': bent .* nonlinear program"),
         (furnace(declare=grumpy), "without components over 2 stages of 1 h under ac': IndexError"),

@@ -203,10 +203,14 @@ class Items:
         return (self.values(name) > 0).astype(float)
 
     def left(self, field: str) -> Bounds:
-        """Minimum and maximum for all components, which are zero while one is out of service."""
-        low, high = self.bounds(field)
-        status = self.status() > 0
-        return np.where(status, low, 0.0), np.where(status, high, 0.0)
+        """Minimum and maximum of the part that is in service and runs, zero where there is none."""
+        part = (self.status() > 0).astype(float)
+        if self.members and hasattr(self.members[0], "on"):
+            part = part * self.number("on")
+        low, high = (
+            np.multiply(part, end, out=np.zeros_like(part), where=part > 0) for end in self.bounds(field)
+        )
+        return low, high
 
     def _declared(self, field: str, constants: Array) -> Array:
         one = self.members[0] if self.members else None

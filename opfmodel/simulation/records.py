@@ -126,7 +126,7 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
     named = {name: key for name, key in seen.items() if name in DESCRIBED or name.endswith(_CURTAILED)}
     curtailed = [name for name in named if name.endswith(_CURTAILED)]
     for key, names in (
-        ("redispatched_mwh", [f"{name}_redispatch" for _, name, _ in _POWERS]),
+        ("redispatched_mwh", tuple(f"{name}_redispatch" for _, name, _ in _POWERS)),
         ("shed_mwh", ("load_shed", "p_unserved", "p_shortage")),
         ("curtailed_mwh", (*curtailed, "p_surplus")),
     ):

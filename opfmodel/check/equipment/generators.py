@@ -10,7 +10,7 @@ import numpy as np
 
 from opfmodel.check.equipment.base import Equipment
 from opfmodel.check.equipment.capability import check_capability
-from opfmodel.check.trajectories import Array, Bounds, Complex, Items
+from opfmodel.check.trajectories import Array, Complex, Items
 from opfmodel.data.series import SeriesKey
 from opfmodel.network.components import Generator
 from opfmodel.network.costs import PiecewiseLinear
@@ -26,9 +26,9 @@ class Generators(Equipment):
     def check(self) -> None:
         """Check limits and ramps; a ramp is known only where the dispatch before it is."""
         checker, units = self.checker, self.items
-        checker.inside("generator p", units, units.values("pg"), self._running("p"), "MW")
+        checker.inside("generator p", units, units.values("pg"), units.left("p"), "MW")
         if checker.reactive:
-            checker.inside("generator q", units, units.values("qg"), self._running("q"), "MVAr")
+            checker.inside("generator q", units, units.values("qg"), units.left("q"), "MVAr")
         check_capability(checker, units, "pg", "qg", units.number("on") > 0)
         ramped = units.where(np.isfinite(units.number("ramp")).any(axis=1))
         known = checker.previous_pg or {}
@@ -42,14 +42,6 @@ class Generators(Equipment):
         started = np.abs(np.diff(ramped.number("on"), axis=1, prepend=self._on_before(ramped)))
         most = most + started * np.maximum(ramped.bounds("p")[0] - most, 0.0)
         checker.note("ramp", ramped.names, change - most, "MW")
-
-    def _running(self, field: str) -> Bounds:
-        """Minimum and maximum of the part that runs."""
-        on = np.broadcast_to(self.items.number("on"), self.items.values("pg").shape)
-        low, high = (
-            np.multiply(on, end, out=np.zeros_like(on), where=on > 0) for end in self.items.left(field)
-        )
-        return low, high
 
     @staticmethod
     def _on_before(units: Items) -> Array:

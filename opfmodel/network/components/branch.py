@@ -114,4 +114,5 @@ class Branch(Component):
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
         for key in ("tap", "shift"):
             steps = f"{key}_steps"
-            check_positions(name, key, getattr(self, key), steps, getattr(self, steps), self.move_cost)
+            cost = self.move_cost if self.tap_steps is self.shift_steps is None else None  # of one of them
+            check_positions(name, key, getattr(self, key), steps, getattr(self, steps), cost)
