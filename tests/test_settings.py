@@ -271,3 +271,19 @@ def test_a_network_file_holds_neutral_values_and_says_so(tmp_path: Path) -> None
     with pytest.warns(UserWarning, match="tap is adjustable"):
         om.write_network(case14(tap=(0.95, 1.05)), tmp_path / "case.m", lossy=True)
     assert om.read_network(tmp_path / "case.m").of(om.Branch)[TRAFO].tap == 1.0
+
+
+@pytest.mark.parametrize("plant", [om.NominalPlant(), om.PowerFlow()], ids=lambda p: type(p).__name__)
+def test_a_budget_limits_the_moves_of_a_day(plant: om.Plant) -> None:
+    grid, profiles = swinging()
+    grid.update("trafo", move_cost=0.0)
+    grid.moves = om.Budget(3, uses={"trafo": 1}, hours=24, over_cost=1e4)
+    run = om.simulate(om.MultiStage(grid, 4, profiles=profiles, at_end="repeat"), plant, steps=4)
+    assert run.status == "done"
+    assert run.data.tap_moves.sum() >= 2 - 1e-6
+    left = 3 - run.data.tap_moves.values.cumsum()
+    assert run.data.budget_left_next.values[:, 0] == pytest.approx(left, abs=1e-4)
+    assert check(grid, run.data, profiles).max_violation < 1e-6
+    grid.update("trafo", move_cost=None)
+    with pytest.raises(om.OpfmodelError, match=r"moves: uses.trafo: the moves of this branch are not counted"):
+        om.MultiStage(grid, 4, profiles=profiles).solve()

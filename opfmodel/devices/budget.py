@@ -44,6 +44,7 @@ class BudgetDevice(Device):
         """Declare ``budget_left``, ``budget_used`` and ``budget_over``."""
         horizon, items = model.horizon, np.arange(len(table))
         _check(table, horizon)
+        _check_moves(model, table)
         # what is used never returns, unless a weight is negative: then limits hold at the end of every stage
         left, left_next = model.stock(
             "budget", "budget_left", -np.inf, np.inf, initial="left", ends=False,
@@ -91,11 +92,15 @@ class BudgetDevice(Device):
         rows = model.build.rows("budget_use", used.items, model.stages)
         model.build.add(used, into=rows)
         regular = np.arange(len(model.horizon.regular))
-        for kind, owner, member, weight, counted in _uses(table):
-            quantity = getattr(getattr(model, kind), counted.quantity)[member][:, regular]
+        length = model.horizon.hours[None, regular]
+        for counted, owner, member, weight in _uses(table):
+            if counted.moves and not model.has(counted.quantity):
+                continue  # the formulation moves nothing
+            quantity = getattr(getattr(model, counted.kind), counted.quantity)[member][:, regular]
             if counted.magnitude:
                 quantity = largest(quantity, -quantity)
-            model.build.add(-weight * quantity, into=rows[owner][:, regular])
+            rate = weight / length if counted.moves else weight
+            model.build.add(-rate * quantity, into=rows[owner][:, regular])
 
     @staticmethod
     def _limit(model: Model, table: Table, left: Expression, paid: Expression) -> None:
@@ -133,7 +138,7 @@ class BudgetDevice(Device):
         ends = _least(lambda t: inner & (t.remaining < _SAME))
         model.rows("budget", "budget_end", paid[:, regular], ends, np.inf, nodes=regular)
         refilled = np.unique(
-            np.concatenate([owner[weight[:, 0] < 0] for _, owner, _, weight, _ in _uses(table)])
+            np.concatenate([owner[weight[:, 0] < 0] for _, owner, _, weight in _uses(table)])
         )
         if refilled.size:
             body = paid[refilled][:, regular]
@@ -153,9 +158,13 @@ class BudgetDevice(Device):
         budgets, horizon, table = stage.budget, stage.horizon, stage.network.tables["budget"]
         shape = len(table), len(horizon)
         used = np.zeros(shape)
-        for kind, owner, member, weight, counted in _uses(table):
-            quantity = stage.values[kind, counted.quantity][member]
-            np.add.at(used, owner, weight * (np.abs(quantity) if counted.magnitude else quantity))
+        for counted, owner, member, weight in _uses(table):
+            values = stage.values.get((counted.kind, counted.quantity))
+            if values is None:  # the formulation moves nothing
+                continue
+            quantity = values[member]
+            rate = weight / horizon.hours[None, :] if counted.moves else weight
+            np.add.at(used, owner, rate * (np.abs(quantity) if counted.magnitude else quantity))
         decided = "budget_over" in budgets
         carried, refill = (np.broadcast_to(values, shape) for values in (table.carried, _refill(table)))
         hours = np.broadcast_to(_counted(horizon)(table), shape)
@@ -206,9 +215,23 @@ def _least(limited: Callable[[Table], npt.NDArray[np.bool_]]) -> Callable[[Table
     return lambda table: np.where(limited(table), 0.0, -np.inf)
 
 
-def _uses(table: Table) -> Iterator[tuple[str, Index, Index, Array, Use]]:
-    """Yield the uses by kind: positions of budgets and components, units per energy, what counts."""
-    for kind, counted in COUNTED.items():
-        owner = table.arrays[f"uses_{kind}_owner"]
+def _check_moves(model: Model, table: Table) -> None:
+    """Raise :class:`IncompatibleError` unless the moves that use up a budget are counted."""
+    for counted, owner, member, _ in _uses(table):
+        units = model.network.tables[counted.kind]
+        for budget, unit in zip(owner, member, strict=True) if counted.moves else ():
+            if not np.isfinite(units.move_cost[unit, 0]):
+                raise IncompatibleError(
+                    f"{table.names[budget]}: uses.{units.names[unit]}: the moves of this {counted.kind} are "
+                    "not counted; state its move_cost, 0 if moves cost nothing"
+                )
+
+
+def _uses(table: Table) -> Iterator[tuple[Use, Index, Index, Array]]:
+    """Yield what counts, the positions of budgets and components, and units per energy or per move."""
+    for counted in COUNTED:
+        kind = counted.kind
+        owner, weight = table.arrays[f"uses_{kind}_owner"], table.arrays[f"uses_{kind}"]
         if owner.size:
-            yield kind, owner, table.arrays[f"uses_{kind}_member"], table.arrays[f"uses_{kind}"], counted
+            per = weight / table.base_mva if counted.moves else weight
+            yield counted, owner, table.arrays[f"uses_{kind}_member"], per

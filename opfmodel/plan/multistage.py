@@ -692,16 +692,16 @@ class MultiStage:
         secured = self.security is not None and self.security.screen
         solve = self.screening.solve if secured else self.solve_included
         plan = solve(request, previous, multipliers)
-        return at_positions(plan, lambda held: solve(held, plan, True), self._solve_soft)
+        return at_positions(plan, lambda held: solve(held, plan, True), self._solve_short)
 
-    def _solve_soft(self, request: Request) -> Plan:
-        """Solve with soft limits and without outages to survive."""
-        return self._soft.solve_once(replace(request, horizon=request.horizon.regular))
+    def _solve_short(self, request: Request) -> Plan:
+        """Solve for the minimum penalty of soft limits, without other costs and outages to survive."""
+        return self._short.solve_once(replace(request, horizon=request.horizon.regular))
 
     @cached_property
-    def _soft(self) -> MultiStage:
-        """The same problem with soft limits, without outages to survive."""
-        return self.with_security(None).elastic_twin()
+    def _short(self) -> MultiStage:
+        """The problem of minimum penalty, without outages to survive."""
+        return self.with_security(None).elastic_twin().shortage_problems[0]
 
     def solve_included(self, request: Request, previous: Plan | None, multipliers: bool) -> Plan:
         """Solve the problem as it is, without screening; an elastic one for minimum penalty first."""

@@ -21,18 +21,18 @@ _REPAIRS = 4
 _TELLING = 0.1  # of the largest reduction of the penalty that one position promises
 
 
-def at_positions(plan: Plan, solve: Solve, elastic: Solve) -> Plan:
+def at_positions(plan: Plan, solve: Solve, short: Solve) -> Plan:
     """Return the plan with its settings at positions, and the effort of all solves.
 
     Settings are rounded to the nearest positions. Where no plan exists there, as at a binding voltage limit,
-    the multipliers of an elastic plan tell which settings to move by one position, and in which direction.
+    the multipliers of a plan of minimum penalty tell which settings to move by one position, and which way.
 
     Parameters
     ----------
     plan
         A plan with continuous settings.
-    solve, elastic
-        Solve a request with hard and with soft limits, starting from the plan.
+    solve, short
+        Solve a request, starting from the plan, and for the minimum penalty with soft limits.
     """
     stepped = {name: own for name, own in plan.model.settings.items() if own.stepped.any()}
     if not stepped or not plan.optimal or plan.request.settings is not None:
@@ -42,20 +42,20 @@ def at_positions(plan: Plan, solve: Solve, elastic: Solve) -> Plan:
     for _ in range(_REPAIRS):
         if not solved[-1].infeasible:
             break
-        short = elastic(replace(plan.request, settings=settings))
-        settings, before = _moved(settings, stepped, short), settings
+        lacking = short(replace(plan.request, settings=settings))
+        settings, before = _moved(settings, stepped, lacking), settings
         if all(np.array_equal(settings[name], before[name], equal_nan=True) for name in settings):
             break
-        solved += [short, solve(replace(plan.request, settings=settings))]
+        solved += [lacking, solve(replace(plan.request, settings=settings))]
     return _with_effort(solved)
 
 
-def _moved(settings: Mapping[str, Array], stepped: Mapping[str, Setting], short: Plan) -> dict[str, Array]:
-    """Return settings of which those that reduce the penalty of an elastic plan most move by one position."""
-    if not short.optimal:
+def _moved(settings: Mapping[str, Array], stepped: Mapping[str, Setting], lacking: Plan) -> dict[str, Array]:
+    """Return settings of which those that reduce the penalty of a plan most move by one position."""
+    if not lacking.optimal:
         return dict(settings)
     gains = {
-        name: np.where(own.stepped, short.solution.bound_dual(name) * own.size, 0.0)
+        name: np.where(own.stepped, lacking.solution.bound_dual(name) * own.size, 0.0)
         for name, own in stepped.items()
     }
     largest = max(float(np.abs(gain).max()) for gain in gains.values())

@@ -11,6 +11,8 @@ from opfmodel.network.components import Budget
 __all__ = ["Budgets"]
 
 _SAME = 1e-6  # steps
+_POWERS = (("generator", "pg"), ("connection", "connection_p"), ("storage", "ps"))
+_MOVES = (("branch", "tap_moves"), ("branch", "shift_moves"), ("shunt", "shunt_b_moves"))
 
 
 class Budgets(Equipment):
@@ -55,10 +57,13 @@ class Budgets(Equipment):
         made = np.zeros((len(self.items.names), len(at.hours)))
         for row, uses in enumerate(self.items.each("uses")):
             for name, weight in uses.items():
-                if name in at.position("generator"):
-                    made[row] += weight * at.of("pg", [name])[0]
-                elif name in at.position("storage"):
-                    made[row] += weight * np.abs(at.of("ps", [name])[0])
+                for kind, quantity in _POWERS:
+                    if name in at.position(kind):
+                        power = at.of(quantity, [name])[0]
+                        made[row] += weight * (np.abs(power) if kind == "storage" else power)
+                for kind, quantity in _MOVES:
+                    if name in at.position(kind) and at.has(quantity):
+                        made[row] += weight * at.of(quantity, [name])[0] / at.hours
         return made
 
     def _periods(self) -> tuple[Array, Array]:
