@@ -290,7 +290,7 @@ def test_outages_that_have_not_happened_use_nothing() -> None:
         ("uses", {}, "cap: uses = {}: must name at least one component"),
         ("uses", {"coal": "x"}, "cap: uses"),
         ("uses", {"cell": -1}, "cap: uses.cell = -1: must be at least 0 for a storage"),
-        ("uses", {"town": 1}, "cap: uses.town = 1: no generator or storage has this name"),
+        ("uses", {"town": 1}, "cap: uses.town = 1: no generator or connection or storage"),
         ("hours", 0, "cap: hours = 0: must be greater than 0"),
         ("left", -2, "cap: left = -2: must be at least 0"),
         ("over_cost", -2, "cap: over_cost = -2: must be at least 0"),
