@@ -61,6 +61,10 @@ from .plan import (
     Risk as Risk,
     Security as Security,
 )
+from .plan.commitment import (
+    Commitment as Commitment,
+    commit as commit,
+)
 from .plan.assessment import (
     Assessment as Assessment,
     assess as assess,

@@ -16,6 +16,7 @@ from solvers.errors import (
 )
 from solvers.expression import Constraint, Expression, Sum, largest, largest_by, stacked, total
 from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
+from solvers.milp import MixedInteger, MixedSolution, solve_mixed
 from solvers.program import Block, Cone, Epigraph, Instance, Output, Placement, Program
 from solvers.solution import Solution, Start
 from solvers.solve import (
@@ -47,6 +48,8 @@ __all__ = [
     "Kind",
     "Matrices",
     "MatrixMaker",
+    "MixedInteger",
+    "MixedSolution",
     "Output",
     "Placement",
     "Program",
@@ -80,6 +83,7 @@ __all__ = [
     "proves_infeasible",
     "rescan",
     "solve",
+    "solve_mixed",
     "stacked",
     "standard_form",
     "total",

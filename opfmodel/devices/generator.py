@@ -23,7 +23,7 @@ class GeneratorDevice(Device):
         |p^g(k) - p^g(k-1)| \le \Delta\, ramp, \quad a_j p^g + b_j q^g \le c_j
 
     Cost: :math:`c_2 (p^g)^2 + c_1 p^g + c_0`, or the maximum over the segments of a convex
-    piecewise-linear cost.
+    piecewise-linear cost, and of the starts that follow from the series of its status.
     """
 
     component = Generator
@@ -50,4 +50,6 @@ class GeneratorDevice(Device):
         if owners.size:
             lines = g.segment_slope * g.pg[g.segment_owner] + g.segment_offset
             cost = cost + total(largest_by(owner, lines, owners.size))
+        if g.start_cost.any():
+            cost = cost + total(g.start_cost * g.starts / stage.step)
         return cost

@@ -427,6 +427,8 @@ def _table(
     arrays |= {name: np.full((len(members), 1), known.loosest) for name, known in kind.clocked.items()}
     if kind.lost:
         arrays["status"] = np.ones((len(members), 1))
+    governed = {name for names in kind.governs.values() for name in names}
+    arrays |= {name: np.zeros((len(members), 1)) for name in sorted(governed - arrays.keys())}
     for array in arrays.values():
         array.flags.writeable = False
     units |= {name: field.unit for name, field in kind.table_fields().items()}
@@ -434,6 +436,7 @@ def _table(
         units |= {"segment_slope": "$/MWh", "segment_offset": "$/h", "segment_begin": "MW"}
     if "status" in arrays:
         units |= {"status": ""}
+    units |= dict.fromkeys(arrays.keys() & governed - units.keys(), "")
     return Table(kind, tuple(members), arrays, units, base_mva)
 
 

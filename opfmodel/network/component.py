@@ -117,6 +117,7 @@ class Component:
         Quantities of the arrays that follow from the clock, by name; see :meth:`at_clock`.
     governs
         Fields on which other quantities of the arrays depend in each stage, and these; see :meth:`in_stages`.
+        Those that are no fields are 0 where nothing governs them.
     """
 
     kind: ClassVar[str]
@@ -246,6 +247,14 @@ class Component:
         hours
             Mean length of each stage and the one before it.
         """
+        return {}
+
+    @classmethod
+    def at_start(
+        cls,
+        arrays: Mapping[str, npt.NDArray[Any]],  # noqa: ARG003
+    ) -> Mapping[str, npt.NDArray[np.float64]]:
+        """Return the fields in :attr:`governs` before step 0, ``(items, 1)``; NaN if not known."""
         return {}
 
     def resolved(self) -> Self:

@@ -19,6 +19,7 @@ from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
 __all__ = [
+    "at_start",
     "check_clocked",
     "check_finite",
     "check_series",
@@ -280,7 +281,7 @@ def governed(
     parent, lengths
         Node before each, -1 for none, and hours of each.
     before
-        The same fields in the step before the first nodes; what is missing was as in these.
+        The same fields in the step before the first nodes; what is missing or NaN was as in these.
     """
     made = dict(series)
     for kind, fields in governing(profiles, network).items():
@@ -289,11 +290,21 @@ def governed(
         known = {}
         for field in fields:
             arrays[field] = now = np.broadcast_to(arrays[field], (len(table), parent.size))
-            known[field] = np.where(parent >= 0, now[:, parent], before.get((kind, field), now))
+            first = before.get((kind, field), now)
+            known[field] = np.where(parent >= 0, now[:, parent], np.where(np.isnan(first), now, first))
         hours = np.where(parent >= 0, 0.5 * (lengths + lengths[parent]), lengths)
         of_kind = table.kind.in_stages(arrays, known, hours)
         made |= {(kind, field): values for field, values in of_kind.items() if values.size}
     return made
+
+
+def at_start(network: PerUnitNetwork) -> Fields:
+    """Fields that govern others before step 0, ``(items, 1)``; NaN where they are not known."""
+    return {
+        (kind, field): values
+        for kind, table in network.tables.items()
+        for field, values in table.kind.at_start(table.arrays).items()
+    }
 
 
 def _loosened(limits: Fields, profiles: Profiles, network: PerUnitNetwork) -> Fields:

@@ -25,7 +25,7 @@ from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Publ
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.network import Network
-from opfmodel.network.series import check_clocked, check_series, clocked, governed, window
+from opfmodel.network.series import at_start, check_clocked, check_series, clocked, governed, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.compiled import Compiled, compiled, declared
@@ -543,7 +543,8 @@ class MultiStage:
 
     def _governed(self, series: Fields, time: int, horizon: Horizon) -> Fields:
         """Return series at the nodes of a plan with the quantities that depend on others in each stage."""
-        before = window(self.profiles, self.arrays, time - 1, 1, self.at_end == "repeat") if time > 0 else {}
+        repeats = self.at_end == "repeat"
+        before = window(self.profiles, self.arrays, time - 1, 1, repeats) if time else at_start(self.arrays)
         return governed(series, self.profiles, self.arrays, horizon.parent, horizon.hours, before)
 
     def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None, time: int = 0) -> Fields:

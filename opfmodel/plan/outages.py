@@ -41,8 +41,8 @@ Status = Mapping[str, Array]  # 1 in service, 0 while it is out, ``(items, nodes
 _LOST: Mapping[str, Mapping[str, float]] = {kind.kind: {"status": 0.0, **kind.lost} for kind in OUTAGES}
 STATUS = "", "1 in service, 0 while it is out of service"
 """Unit and description of a status in results."""
-# Cost of a generator that does not generate; it counts in no contingency.
-COSTS = ("c0", "segment_offset")
+# Cost of a generator that does not generate, and its starts; they count in no contingency.
+COSTS = ("c0", "segment_offset", "starts")
 
 
 def check_declared(names: Iterable[str], network: PerUnitNetwork) -> tuple[str, ...]:

@@ -52,6 +52,8 @@ class Generators(Equipment):
             key = SeriesKey(name, "on")
             if step >= 0 and key in at.series:
                 first[row] = at.series[key][step]
+            elif step < 0 and units.members[row].hours_on is not None:
+                first[row] = float(units.members[row].hours_on > 0)
         return first
 
     def power(self) -> Iterator[tuple[list[str], Complex]]:
@@ -71,7 +73,7 @@ class Generators(Equipment):
         ):
             of_running = np.divide(dispatch, on, out=np.zeros_like(dispatch), where=on > 0)
             rate += status * on * self._of_segments(name, cost, of_running)
-        return np.asarray(rate)
+        return np.asarray(rate + self._start_rate())
 
     def _of_segments(self, name: str, cost: PiecewiseLinear, dispatch: Array) -> Array:
         """Piecewise-linear cost of a unit: from the first point on, with each slope from its bend on."""
@@ -85,3 +87,12 @@ class Generators(Equipment):
             total = total + (slope - before) * beyond
             before = slope
         return total
+
+    def _start_rate(self) -> Array:
+        """Cost of the starts in each stage, spread over it."""
+        units = self.items
+        on = np.broadcast_to(units.number("on"), units.values("pg").shape)
+        starts = np.maximum(np.diff(on, axis=1, prepend=self._on_before(units)), 0.0)
+        return np.asarray(
+            (units.constant("start_cost") * starts * units.status()).sum(axis=0) / self.checker.hours
+        )

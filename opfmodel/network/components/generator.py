@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
 from opfmodel.network.components.capability import capability, check_capability
 from opfmodel.network.costs import Cost, Polynomial
@@ -24,7 +25,7 @@ class Generator(Component):
     plural: ClassVar[str] = "generators"
     lost: ClassVar[Mapping[str, float]] = {"p_min": 0, "p_max": 0, "q_min": 0, "q_max": 0, "ramp": INF}
     governs: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "on": ("status", "p_min", "p_max", "q_min", "q_max", "ramp", "c0", "segment_offset")
+        "on": ("status", "p_min", "p_max", "q_min", "q_max", "ramp", "c0", "segment_offset", "starts")
     }
 
     bus: str = at_bus()
@@ -44,6 +45,20 @@ class Generator(Component):
         at_least=0.0,
         at_most=1.0,
         description="1 while it runs and 0 while it is shut down, usually a series; multiplies its limits.",
+    )
+    start_cost: float = number("$", 0.0, at_least=0.0, series=False, description="Cost of each start.")
+    min_up: float = number(
+        "h", 0.0, at_least=0.0, series=False, description="Minimum time for which it runs, in a commitment."
+    )
+    min_down: float = number(
+        "h", 0.0, at_least=0.0, series=False, description="Minimum time between runs, in a commitment."
+    )
+    hours_on: float | None = number(
+        "h",
+        None,
+        optional=True,
+        series=False,
+        description="For how long it has been running before step 0; negative: shut down; none if not known.",
     )
     cost: Cost = cost_of(Polynomial(), "Cost of active power: a Polynomial or PiecewiseLinear.")
     pg_set: float | None = number(
@@ -87,6 +102,15 @@ class Generator(Component):
         """Raise :class:`ComponentError` if a field breaks a rule or no power is within all limits."""
         super().check(name)
         check_capability(name, self.capability, self.p, self.q)
+        if self.hours_on == 0.0:
+            rule = "must be positive if it has been running and negative if it has been shut down"
+            raise ComponentError(name, "hours_on", self.hours_on, rule)
+
+    @classmethod
+    def at_start(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Mapping[str, npt.NDArray[np.float64]]:
+        """Return whether each unit runs before step 0; NaN if it is not known."""
+        hours = arrays["hours_on"]
+        return {"on": np.where(np.isfinite(hours), hours > 0.0, np.nan)}
 
     @classmethod
     def in_stages(
@@ -95,7 +119,7 @@ class Generator(Component):
         before: Mapping[str, npt.NDArray[np.float64]],
         hours: npt.NDArray[np.float64],
     ) -> Mapping[str, npt.NDArray[np.float64]]:
-        """Return limits and constant costs, which are those of the part that runs.
+        """Return limits and constant costs, which are those of the part that runs, and the starts.
 
         A unit that starts up or shuts down may move by its minimum output if its ramp allows less.
         """
@@ -110,4 +134,5 @@ class Generator(Component):
         made["segment_offset"] = on[arrays["segment_owner"]] * arrays["segment_offset"]
         made["ramp"] = ramp + started * np.maximum(arrays["p_min"] / hours - ramp, 0.0)
         made["status"] = arrays["status"] * (on > 0.0)
+        made["starts"] = np.maximum(on - before["on"], 0.0)
         return made
