@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import logging
 from pathlib import Path
 
@@ -10,11 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import pglib_uc
 import pytest
+from conftest import Call
 from pypsa_networks import snapshots
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.errors import ComponentError, IncompatibleError, ModelError
+from opfmodel.errors import ComponentError, IncompatibleError, ModelError, ScenarioError
 from opfmodel.plan.commitment import plan_with_commitment, with_commitment
 from opfmodel.simulation import Controller, simulate
 
@@ -183,7 +185,6 @@ def test_a_commitment_on_a_network_serves_the_ac_plan() -> None:
     demand = np.array([60, 20, 15, 20, 80, 100, 60, 20.0])
     problem = om.MultiStage(grid, 8, profiles={"town.p": demand}, end=om.End(cyclic=True))
     plan, [found] = plan_with_commitment(problem, gap=1e-5)
-    assert plan is not None
     assert plan.optimal
     assert found.status == "globally_optimal"
     assert 0 <= found.gap <= 1.1e-5
@@ -218,7 +219,6 @@ def test_a_plan_that_needs_more_units_for_its_voltages_is_repaired() -> None:
     grid.local = om.Generator("south", p=(5, 40), q=(-80, 80), cost=om.Polynomial(0, 60, 100))
     grid.town = om.Load("south", p=110, q=60)
     plan, made = plan_with_commitment(om.MultiStage(grid, 2))
-    assert plan is not None
     assert plan.optimal
     assert [c.margin for c in made] == [0.0, 0.02]
     assert made[0].on["local.on"].sum() == 0 < made[1].on["local.on"].sum()
@@ -229,7 +229,7 @@ def test_no_commitment_and_limits_of_time() -> None:
     grid.city = om.Load("north", p=300)
     found = om.commit(om.MultiStage(grid, 2))
     assert (found.status, found.found, len(found.on)) == ("proven_infeasible", False, 0)
-    assert plan_with_commitment(om.MultiStage(grid, 2))[0] is None
+    assert plan_with_commitment(om.MultiStage(grid, 2))[0].infeasible
     assert om.commit(om.MultiStage(system(), 2), units=[]).objective > 0
 
 
@@ -253,3 +253,34 @@ def test_what_cannot_be_committed_is_refused() -> None:
         system(hours_on=0.0)
     with pytest.raises(ComponentError, match="coal: start_cost = -1"):
         system(start_cost=-1)
+
+
+SCENARIO = """
+network:
+  base_mva: 100
+  buses: {a: {}}
+  generators:
+    coal: {bus: a, p: [60, 100], cost: {c1: 20, c0: 100}, start_cost: 500, min_up: 2, hours_on: -4}
+    gas: {bus: a, p: [0, 100], cost: {c1: 50}}
+  loads: {town: {bus: a, p: 30}}
+time: {step: 1, steps: 1}
+profiles: [{table: {file: town.csv}}]
+controller: {horizon: 4, commit: milp}
+"""
+
+
+def test_a_scenario_commits_in_a_solve_and_not_in_a_loop(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "s.yaml"
+    path.write_text(SCENARIO)
+    (tmp_path / "town.csv").write_text("town.p\n30\n90\n95\n20\n")
+    code, out, _ = call("solve", path, "--json")
+    assert code == 0
+    told = json.loads(out)
+    assert told["objective"] == pytest.approx(6900, rel=1e-6)
+    assert told["max_violation"] < 1e-6
+    assert told["commitments"][0]["on"] == {"coal.on": [0, 1, 1, 0]}
+    assert "1 units, 1 starts" in call("solve", path)[1]
+    with pytest.raises(ScenarioError, match=r"s\.yaml:\d+:\d+: controller\.commit: .*closed loop"):
+        om.load_scenario(path).simulate()
+    with pytest.raises(ModelError, match="commit = 'no': must be"):
+        Controller(om.MultiStage(system(), 2), commit="no")  # type: ignore[arg-type]

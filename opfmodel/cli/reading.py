@@ -202,7 +202,10 @@ def controller_of(
         scenario = read_scenario(file, variant, overrides, changes)
         futures = scenario.scenarios
         forecast = None if futures is None or futures.draw is None else scenario.forecast
-        planner = Controller(scenario.problem, forecast, elastic=scenario.elastic, scenarios=futures)
+        commit = scenario.settings.controller.commit
+        planner = Controller(
+            scenario.problem, forecast, elastic=scenario.elastic, scenarios=futures, commit=commit
+        )
         return planner, scenario.initial()
     if variant is not None or overrides:
         raise OpfmodelError(f"{file}: --variant and --set apply to scenario files (.yaml) only")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from opfmodel.analysis.bound import Certificate
     from opfmodel.check import Report
     from opfmodel.plan import Plan
+    from opfmodel.plan.commitment import Commitment
     from opfmodel.plugins.catalogue import Entry
     from opfmodel.simulation import Run
     from opfmodel.study import Outcome
@@ -29,6 +30,7 @@ def plan(
     diagnosis: list[str],
     elastic: bool,
     certificate: Certificate | None = None,
+    commitments: Sequence[Commitment] = (),
 ) -> None:
     """Print the results of a plan, and the diagnosis of an infeasible problem.
 
@@ -38,6 +40,8 @@ def plan(
         Whether the user asked for the diagnosis.
     certificate
         What is proven about the plan, if the user asked for it.
+    commitments
+        The commitments of units that led to it.
     """
     problem, solution = solved.problem, solved.solution
     size = solution.program
@@ -50,6 +54,7 @@ def plan(
             "status": solved.status if solved.optimal else f"{solved.status}: {solved.termination}",
             "objective": f"{solved.objective:,.4f} {solved.network.currency}" if solved.optimal else "none",
             **({} if certificate is None else _bounded(certificate)),
+            **({"commitment": _committed(commitments[-1])} if commitments else {}),
             "formulation": problem.formulation.name,
             "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
             "solver": f"{solution.solver}, {iterations}",
@@ -61,6 +66,15 @@ def plan(
     _diagnosis(diagnosis)
     if solved.infeasible and not elastic:
         print_line(_ELASTIC)
+
+
+def _committed(commitment: Commitment) -> str:
+    """Return a commitment on one line."""
+    if not commitment.found:
+        return f"{commitment.status}: {commitment.termination}"
+    margin = f", capacity {commitment.margin:+.0%}" if commitment.margin else ""
+    starts = sum(commitment.starts.values())
+    return f"{len(commitment.starts)} units, {starts} starts, gap {commitment.gap:.1e}{margin}"
 
 
 def run(done: Run, summary: Mapping[str, Any], report: Report | None, folder: Path, elastic: bool) -> None:

@@ -14,6 +14,7 @@ from opfmodel.cli.reading import check_on_infeasible, controller_of
 if TYPE_CHECKING:
     from opfmodel.check import Report
     from opfmodel.plan import Plan
+    from opfmodel.plan.commitment import Commitment
     from opfmodel.simulation import Controller
 
 __all__ = ["solve"]
@@ -46,6 +47,7 @@ def solve(
     infeasible, so is the problem.
     """
     from opfmodel.analysis.bound import certify, check_bounded
+    from opfmodel.plan.commitment import plan_with_commitment
 
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
@@ -59,7 +61,12 @@ def solve(
         asked = controller.request(0)
         if bound:
             check_bounded(problem)
-        plan = problem.solve(initial=initial, **asked)
+        commitments: list[Commitment] = []
+        if controller.commit == "milp":
+            plan, commitments = plan_with_commitment(problem, initial=initial)
+            problem = plan.problem
+        else:
+            plan = problem.solve(initial=initial, **asked)
         certificate = certify(plan) if bound else None
         if certificate is not None:
             plan = certificate.plan
@@ -76,6 +83,7 @@ def solve(
                 "objective": plan.objective if plan.optimal else None,
                 "expected_cost": plan.expected_cost if plan.optimal else None,
                 "scenario_costs": plan.scenario_costs if plan.optimal and controller.scenarios else {},
+                "commitments": [commitment.as_dict() for commitment in commitments],
                 "bound": None if certificate is None else certificate.as_dict(),
                 "currency": problem.network.currency,
                 "build_seconds": problem.build_seconds,
@@ -94,7 +102,7 @@ def solve(
             }
         )
     else:
-        show.plan(plan, report, diagnosis, elastic, certificate)
+        show.plan(plan, report, diagnosis, elastic, certificate, commitments)
     return 0 if plan.optimal else 1
 
 
@@ -102,7 +110,7 @@ def _verified(controller: Controller, plan: Plan) -> Report:
     """The independent check of a plan; of the scenario with the largest violation, if there are several."""
     from opfmodel.check import check
 
-    problem, futures = controller.problem, controller.futures
+    problem, futures = plan.problem, controller.futures
     series = [problem.profiles] if futures is None else futures.series
     reports = [
         check(problem.network, plan.scenario(name), own)

@@ -389,7 +389,7 @@ def plan_with_commitment(
     gap: float = 1e-4,
     seconds: float | None = None,
     segments: int = 8,
-) -> tuple[Plan | None, list[Commitment]]:
+) -> tuple[Plan, list[Commitment]]:
     """Commit units on the linear model, then solve the problem with that commitment, and repair it.
 
     If the problem has no solution with the commitment, for example because the voltages need more units, up
@@ -404,14 +404,14 @@ def plan_with_commitment(
     Returns
     -------
     plan
-        The last plan; None if there is no commitment. Its problem has the series ``on``.
+        The last plan; its problem has the series ``on``. Without a commitment, units run as declared.
     commitments
         The commitments in order; the last one that was found is that of the plan.
     """
     search = partial(commit, problem, time, initial, units=units, gap=gap, seconds=seconds, segments=segments)
     made = [search()]
     if not made[0].found:
-        return None, made
+        return problem.solve(time, initial), made
     plan = with_commitment(problem, made[0]).solve(time, initial)
     for margin in _MARGINS:
         if plan.optimal:

@@ -19,7 +19,7 @@ from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequenc
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.parts import make_plant
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.simulation import Controller, Plant, Run, check_first_stage, simulate
+from opfmodel.simulation import Controller, Plant, Run, check_commitment, check_first_stage, simulate
 
 __all__ = ["Scenario"]
 
@@ -160,14 +160,14 @@ class Scenario:
         with self.document.located("controller"):
             check_first_stage(self.problem)
         self.check_forecast()
+        section = self.settings.controller
+        controller = Controller(
+            self.problem, self.forecast, section.on_infeasible, self.elastic, self.scenarios, section.commit
+        )
+        with self.document.located("controller"):
+            check_commitment(controller)
         return simulate(
-            Controller(
-                self.problem,
-                self.forecast,
-                self.settings.controller.on_infeasible,
-                self.elastic,
-                self.scenarios,
-            ),
+            controller,
             self.plant(),
             steps=self.steps,
             initial=self.initial(),

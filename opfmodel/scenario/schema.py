@@ -275,6 +275,11 @@ class ControllerSection(Section):
         None, description="objective that plans minimise; by default that of `cost`"
     )
     generator_delay: Literal[0, 1] = Field(0, description="delay of the dispatch in stages")
+    commit: Literal["declared", "milp"] = Field(
+        "declared",
+        description="which units run: as `on` declares, or, in `opfmodel solve`, by a mixed-integer program "
+        "of the DC model",
+    )
     initial_dispatch: Literal["free", "single-stage"] | None = Field(
         None,
         description="`single-stage`: the AC optimum of the first demand without storage, whatever the "

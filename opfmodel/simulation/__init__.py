@@ -1,7 +1,7 @@
 """The closed loop: a controller that plans, a plant that responds, and the record of the run."""
 
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
-from opfmodel.simulation.loop import check_first_stage, check_response, simulate
+from opfmodel.simulation.loop import check_commitment, check_first_stage, check_response, simulate
 from opfmodel.simulation.outages import Outage, Outages
 from opfmodel.simulation.plants.base import Plant, Step
 from opfmodel.simulation.plants.nominal import NominalPlant
@@ -21,6 +21,7 @@ __all__ = [
     "Redispatch",
     "Run",
     "Step",
+    "check_commitment",
     "check_first_stage",
     "check_response",
     "simulate",

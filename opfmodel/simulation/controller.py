@@ -20,9 +20,10 @@ from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
 from solvers import SolutionStatus
 
-__all__ = ["Attempt", "Controller", "OnInfeasible"]
+__all__ = ["Attempt", "Commit", "Controller", "OnInfeasible"]
 
 Array = npt.NDArray[np.float64]
+Commit = Literal["declared", "milp"]
 OnInfeasible = Literal["stop", "elastic"]
 
 
@@ -62,6 +63,9 @@ class Controller:
         Penalty prices of the soft limits.
     scenarios
         Futures around the forecast; the horizon of the problem is their tree, see :meth:`Scenarios.horizon`.
+    commit
+        Which units run: ``declared``, or ``milp`` for a first plan by
+        :func:`opfmodel.plan.commitment.plan_with_commitment`. Closed loops need declared ones.
 
     Attributes
     ----------
@@ -78,7 +82,10 @@ class Controller:
         on_infeasible: OnInfeasible = "stop",
         elastic: Elastic | None = None,
         scenarios: Scenarios | None = None,
+        commit: Commit = "declared",
     ) -> None:
+        if commit not in get_args(Commit):
+            raise ModelError(f"commit = {commit!r}: must be 'declared' or 'milp'")
         if on_infeasible not in get_args(OnInfeasible):
             raise ModelError(f"on_infeasible = {on_infeasible!r}: must be 'stop' or 'elastic'")
         if not isinstance(problem, MultiStage):
@@ -97,6 +104,7 @@ class Controller:
         self.on_infeasible = on_infeasible
         self.elastic = Elastic() if elastic is None else elastic
         self.scenarios = scenarios
+        self.commit = commit
         self.attempts: list[Attempt] = []
         self.futures: Futures | None = None
         self._last: Plan | None = None

@@ -21,7 +21,7 @@ from opfmodel.simulation.plants.nominal import NominalPlant
 from opfmodel.simulation.run import Run
 from solvers.interrupt import interruptible
 
-__all__ = ["check_first_stage", "check_response", "simulate"]
+__all__ = ["check_commitment", "check_first_stage", "check_response", "simulate"]
 
 
 def simulate(
@@ -72,6 +72,7 @@ def simulate(
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
     elif on_infeasible is not None:
         raise ModelError(f"on_infeasible = {on_infeasible!r}: belongs to the controller; set it there")
+    check_commitment(controller)
     steps = integer("steps", steps, at_least=1)
     plant = NominalPlant() if plant is None else plant
     if not isinstance(plant, Plant):
@@ -124,6 +125,16 @@ def _recorded(step: Step, outages: Outages, problem: MultiStage, time: int) -> S
         values={**step.values, **outages.record(problem, time)},
         described={**step.described, **outages.described},
     )
+
+
+def check_commitment(controller: Controller) -> None:
+    """Raise :class:`IncompatibleError` if the controller commits units, which closed loops do not hand on."""
+    if controller.commit != "declared":
+        raise IncompatibleError(
+            f"commit = {controller.commit!r}: must be 'declared' in a closed loop; commit the units before "
+            "it by opfmodel.commit and state the series that it returns",
+            "commit",
+        )
 
 
 def check_first_stage(problem: MultiStage) -> None:
