@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import IncompatibleError, ModelError, nearest, shown
 from opfmodel.network.bounds import integer, number_within
-from opfmodel.network.series import fields_with_series, window
+from opfmodel.network.series import at_start, fields_with_series, governed, window
 from opfmodel.plan.commitment_program import UnitProgram, Units
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.nodes import over_nodes
@@ -195,15 +195,23 @@ def commit(
     """
     began = clock.perf_counter()
     gap = number_within("gap", gap, at_least=0.0)
+    seconds = None if seconds is None else number_within("seconds", seconds, at_least=0.0)
     segments = integer("segments", segments, at_least=2)
     time = integer("time", time, at_least=0)
     _check(problem)
     names = _names(problem, units)
     linear = _linear(problem, names, time)
-    horizon, table = linear.horizon, linear.arrays.generator
-    least = np.broadcast_to(np.asarray(capacity, dtype=float) / table.base_mva, (len(horizon),))
-    off, on, made = _posed(linear, problem, names, time, initial)
-    program = UnitProgram(linear.model, linear.compile(), horizon, made, off, on, least)
+    horizon, made = linear.horizon, _units(linear, problem, names, time)
+    least = np.asarray(capacity, dtype=float) / linear.arrays.base_mva
+    if least.shape not in ((), (len(horizon),)) or not np.isfinite(least).all():
+        raise ModelError(
+            f"capacity = {shown(capacity)}: must be one number, or one per stage: {len(horizon)}"
+        )
+    least = np.broadcast_to(least, (len(horizon),))
+    posed = partial(_posed, linear, names, time, initial)
+    off, on = posed([]), posed(names)
+    alone = [posed([name]) for name in names]
+    program = UnitProgram(linear.model, linear.compile(), horizon, made, off, alone, on, least)
     program.spread_tangents(segments)
     share = 0.5 * gap if program.curved.size else gap
     for _ in range(_MOST_ROUNDS):
@@ -315,52 +323,57 @@ def _declared(problem: MultiStage, name: str, step: int) -> float:
     return float(values[step % values.size if problem.at_end == "repeat" else step])
 
 
-def _posed(
-    linear: MultiStage, problem: MultiStage, names: Sequence[str], time: int, initial: Initial | None
-) -> tuple[Instance, Instance, Units]:
-    """Return the instances with all units shut down and with all of them running, and their data."""
-    horizon, arrays = linear.horizon, linear.arrays
-    table = arrays.generator
+def _units(linear: MultiStage, problem: MultiStage, names: Sequence[str], time: int) -> Units:
+    """Return the data of the units that are committed."""
+    horizon, table = linear.horizon, linear.arrays.generator
     item = np.array([table.position[name] for name in names], dtype=np.intp)
-    ahead = window(linear.profiles, arrays, time, horizon.steps, linear.at_end == "repeat")
-    instances = []
-    for status in (0.0, 1.0):
-        on = {SeriesKey(name, "on"): np.full(horizon.steps, status) for name in names}
-        future = Profiles({**_ahead(linear, time), **on})
-        request = Request(time, initial, linear.end, linear.expected([future], horizon, time), horizon)
-        instances.append(linear.pose(request)[0])
-    fields = over_nodes([ahead], horizon, arrays)
+    fields = _fields(linear, time, linear.profiles)
 
     def of(name: str) -> Array:
         values = fields.get(("generator", name), table.arrays[name])
         return np.broadcast_to(values[item], (item.size, len(horizon))).copy()
 
-    available = [
-        [
-            min(_declared(problem, name, time + s + d) for d in range(n)) > 0.5
-            for s, n in zip(horizon.step.tolist(), horizon.lengths.tolist(), strict=True)
-        ]
-        for name in names
-    ]
-    units = Units(
-        item,
-        of("p_min"),
-        of("p_max"),
-        of("ramp"),
-        np.array(available, dtype=bool).reshape(item.size, len(horizon)),
-        table.min_up[item, 0],
-        table.min_down[item, 0],
-        np.array([_before(problem, name, time) for name in names]),
+    available = np.zeros((item.size, len(horizon)), dtype=bool)
+    for i, name in enumerate(names):
+        stated = np.array([_declared(problem, name, time + step) for step in range(horizon.steps)])
+        part = stated[(stated > 0) & (stated < 1)]
+        if part.size:
+            raise ModelError(f"{name}: on = {part[0]:g}: must be 0 or 1 for a unit that is committed")
+        available[i] = np.minimum.reduceat(stated, horizon.step) > 0
+    return Units(
+        item=item,
+        p_min=of("p_min"),
+        p_max=of("p_max"),
+        ramp=of("ramp"),
+        available=available,
+        min_up=table.min_up[item, 0],
+        min_down=table.min_down[item, 0],
+        before=np.array([_before(problem, name, time) for name in names]),
     )
-    return instances[0], instances[1], units
 
 
-def _ahead(problem: MultiStage, time: int) -> dict[SeriesKey, Array]:
-    """Return the series of the steps of a plan."""
-    steps = np.arange(time, time + problem.horizon.steps)
-    if problem.at_end == "repeat":
-        return {key: values[steps % values.size] for key, values in problem.profiles.items()}
-    return {key: values[steps] for key, values in problem.profiles.items()}
+def _posed(
+    linear: MultiStage, names: Sequence[str], time: int, initial: Initial | None, on: Collection[str]
+) -> Instance:
+    """Return the instance in which some of the committed units run in all stages, and before."""
+    horizon, arrays = linear.horizon, linear.arrays
+    stated = Profiles({f"{name}.on": np.full(time + horizon.steps, float(name in on)) for name in names})
+    profiles = stated.or_else(linear.profiles)
+    if time:
+        before = window(profiles, arrays, time - 1, 1, linear.at_end == "repeat")
+    else:
+        before = at_start(arrays)
+        item = [arrays.generator.position[name] for name in names]
+        before["generator", "on"][item] = np.nan
+    fields = _fields(linear, time, profiles)
+    expected = governed(fields, linear.profiles, arrays, horizon.parent, horizon.hours, before)
+    return linear.pose(Request(time, initial, linear.end, expected, horizon))[0]
+
+
+def _fields(linear: MultiStage, time: int, profiles: Profiles) -> dict[tuple[str, str], Array]:
+    """Return series at the nodes of a plan."""
+    ahead = window(profiles, linear.arrays, time, linear.horizon.steps, linear.at_end == "repeat")
+    return over_nodes([ahead], linear.horizon, linear.arrays)
 
 
 def _before(problem: MultiStage, name: str, time: int) -> float:

@@ -1,12 +1,14 @@
 """The mixed-integer program of a unit commitment, from the compiled program of the dispatch.
 
-The compiled program depends on the status of the units through parameters and bounds that are affine in it;
-their coefficients are read from two instances: with all units shut down, and with all of them running. So
-custom constraints and other devices that refer to what units can generate need nothing of their own.
+The compiled program depends on the status of the units through parameters and bounds that are affine in it.
+Their coefficients are read from instances: one with all units shut down, and one with each of them alone
+running. So custom constraints and other devices that refer to what units can generate, such as reserves, need
+nothing of their own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,16 +19,16 @@ import scipy.sparse as sp
 from opfmodel.errors import IncompatibleError, listed
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
-from solvers import Evaluator, Instance, Kind, MatrixMaker, MixedInteger, Program, classify
+from solvers import Block, Evaluator, Instance, Kind, MatrixMaker, MixedInteger, Program, classify
 
 __all__ = ["UnitProgram", "Units"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-_AFFINE = ("p_min", "p_max", "q_min", "q_max", "c0", "status")  # proportional to the status
 _RAMPS = ("pg_ramp", "pg_ramp_first")
 _SAME = 1e-9
+_NOT_BY_STAGE = "depends on the status of units, but not on that of each by itself and stage by stage"
 _ENDS_SOON = 1e-6  # h
 
 
@@ -59,8 +61,8 @@ class UnitProgram:
 
     Parameters
     ----------
-    off, on
-        The instances with all the units shut down, and with all of them running.
+    off, alone, on
+        The instances with all the units shut down, with each of them alone running, and with all of them.
     capacity
         Least total capacity of the units that run, in each node.
 
@@ -77,6 +79,7 @@ class UnitProgram:
         horizon: Horizon,
         units: Units,
         off: Instance,
+        alone: Sequence[Instance],
         on: Instance,
         capacity: Array,
     ) -> None:
@@ -84,7 +87,8 @@ class UnitProgram:
         structure = classify(program, off)
         if structure.kind > Kind.QUADRATIC:
             raise _not_linear(structure.culprits)
-        self.off, self.on = off, on
+        self.off, self.alone, self.on = off, alone, on
+        self._check_sums()
         self.evaluator = Evaluator(program)
         maker = MatrixMaker(self.evaluator)
         self.m, running = maker.at(off), maker.at(on)
@@ -130,8 +134,15 @@ class UnitProgram:
     def _range(self) -> tuple[Array, Array]:
         """Range of the variables with a quadratic cost."""
         low, high = np.minimum(self.off.lower, self.on.lower), np.maximum(self.off.upper, self.on.upper)
-        low[self.pg], high[self.pg] = self.units.p_min, self.units.p_max
+        low[self.pg], high[self.pg] = self._running
         return low[self.curved], high[self.curved]
+
+    @cached_property
+    def _running(self) -> tuple[Array, Array]:
+        """Limits of each unit while it runs: those of its bounds, unless its dispatch is given."""
+        low, high = self.on.lower[self.pg], self.on.upper[self.pg]
+        given = (low == self.off.lower[self.pg]) & (high == self.off.upper[self.pg])
+        return np.where(given, self.units.p_min, low), np.where(given, self.units.p_max, high)
 
     def curve(self, x: Array) -> tuple[Array, Array]:
         """Return the quadratic costs at a point, and what the tangents make of them."""
@@ -151,21 +162,23 @@ class UnitProgram:
         lower[self.first_cost :] = -np.inf
         q = np.zeros(self.size)
         q[:n], q[self.first_cost :] = self.m.q, 1.0
-        base, row_lower, row_upper = self._base(q)
+        base, row_lower, row_upper = self._base(q), self.m.row_lower.copy(), self.m.row_upper.copy()
+        limits = {"row_lower": row_lower, "row_upper": row_upper, "lower": lower, "upper": upper}
+        self._bounds(base, limits)
         self._limits_of_units()
         self._logic(lower, upper)
         self._ramps(base, row_lower, row_upper)
         self._least_capacity()
         self._tangent_rows()
         extra = self._stack()
-        limits = np.array(self._limits, dtype=float).reshape(-1, 2)
+        stated = np.array(self._limits, dtype=float).reshape(-1, 2)
         constant = self.evaluator.objective(np.zeros(n), self.off.parameters)
         return MixedInteger(
             q=q,
             constant=constant,
             a=sp.csr_array(sp.vstack([base, extra])),
-            row_lower=np.concatenate([row_lower, limits[:, 0]]),
-            row_upper=np.concatenate([row_upper, limits[:, 1]]),
+            row_lower=np.concatenate([row_lower, stated[:, 0]]),
+            row_upper=np.concatenate([row_upper, stated[:, 1]]),
             lower=lower,
             upper=upper,
             binary=np.arange(n, self.first_cost),
@@ -183,7 +196,7 @@ class UnitProgram:
         rows, columns, values = (np.concatenate(part) for part in zip(*self._rows, strict=True))
         return sp.coo_array((values, (rows, columns)), shape=shape).tocsr()
 
-    def _base(self, q: Array) -> tuple[sp.csr_array, Array, Array]:
+    def _base(self, q: Array) -> sp.csr_array:
         """Return the rows of the dispatch with the coefficients of the status, which ``q`` gets too."""
         assembly = self.evaluator.assembly
         costs, constraints = assembly.costs, assembly.constraints
@@ -200,85 +213,102 @@ class UnitProgram:
         padded = sp.hstack(
             [self.m.a, sp.csr_array((self.program.n_rows, self.size - self.program.n_variables))]
         )
-        base = sp.csr_array(padded + constraints.b @ shift.tocsr())
-        row_lower, row_upper = self.m.row_lower.copy(), self.m.row_upper.copy()
-        self._bounds_of_rows(base, row_lower, row_upper)
-        return base, row_lower, row_upper
+        return sp.csr_array(padded + constraints.b @ shift.tocsr())
 
     def _parameters(self) -> tuple[Index, Index, Array]:
         """Parameters that depend on the status, the variable of each, and the coefficients."""
-        changed = np.abs(self.on.parameters - self.off.parameters) > 0
+        blocks, generator = self.program.parameters, self.model.network.generator
+        node = _nodes(blocks, self.program.n_parameters, len(self.horizon))
         entries, columns, changes = [], [], []
-        row = np.full(len(self.model.network.generator), -1)
-        row[self.units.item] = np.arange(self.units.item.size)
-        for name, block in self.program.parameters.items():
-            if not changed[block.slice].any() and not name.endswith(".starts"):
-                continue
-            kind, value = self.model.parameters.get(name, ("", ""))
-            owner = row
-            if value == "segment_offset":
-                owner = row[self.model.network.generator.segment_owner]
-            known = kind == "generator" and value in (*_AFFINE, "segment_offset", "starts")
-            if not known and changed[block.slice].any():
-                raise _not_linear([name], "depends on the status of the units in a way that is not known")
-            if not known or block.stages != len(self.horizon):
-                continue
-            of, node = np.nonzero(np.broadcast_to((owner >= 0)[:, None], block.shape))
-            position = block.index[of, node]
-            entries.append(position)
-            if value == "starts":
-                columns.append(self.v[owner[of], node])
-                changes.append(np.ones(of.size))
-            else:
-                columns.append(self.u[owner[of], node])
-                changes.append(self.on.parameters[position] - self.off.parameters[position])
-        if not entries:
-            none = np.zeros(0, dtype=np.intp)
-            return none, none, np.zeros(0)
-        return np.concatenate(entries), np.concatenate(columns), np.concatenate(changes)
+        for unit, alone in enumerate(self.alone):
+            moved = np.flatnonzero(alone.parameters != self.off.parameters)
+            if (node[moved] < 0).any():
+                raise _not_linear(_named(blocks, moved[node[moved] < 0]), _NOT_BY_STAGE)
+            entries.append(moved)
+            columns.append(self.u[unit, node[moved]])
+            changes.append((alone.parameters - self.off.parameters)[moved])
+        for name, block in blocks.items():
+            if self.model.parameters.get(name) == (generator.kind.kind, "starts"):
+                entries.append(block.index[self.units.item].ravel())
+                columns.append(self.v.ravel())
+                changes.append(np.ones(self.v.size))
+        none = np.zeros(0, dtype=np.intp)
+        return (
+            np.concatenate([none, *entries]),
+            np.concatenate([none, *columns]),
+            np.concatenate([[], *changes]),
+        )
 
-    def _bounds_of_rows(self, base: sp.csr_array, row_lower: Array, row_upper: Array) -> None:
-        """State limits of rows that depend on the status, except those of ramps; the rows are freed."""
-        shape = len(self.model.network.generator), len(self.horizon)
-        for sign, on, off, limit in (
-            (-1.0, self.on.row_lower, self.off.row_lower, row_lower),
-            (1.0, self.on.row_upper, self.off.row_upper, row_upper),
-        ):
-            for name, block in self.program.rows.items():
-                moved = on[block.slice] != off[block.slice]
-                if name in _RAMPS or not moved.any():
-                    continue
-                finite = np.isfinite(on[block.slice]) & np.isfinite(off[block.slice])
-                if block.shape != shape or not finite[moved].all():
-                    raise _not_linear([name], "limits that depend on the status of units")
-                for unit, item in enumerate(self.units.item):
-                    for node, row in enumerate(block.index[item]):
-                        entries = slice(base.indptr[row], base.indptr[row + 1])
-                        columns = [*base.indices[entries].tolist(), int(self.u[unit, node])]
-                        values = [*(sign * base.data[entries]).tolist(), sign * (off[row] - on[row])]
-                        self._row(columns, values, -np.inf, sign * limit[row])
-                        limit[row] = sign * np.inf
+    def _check_sums(self) -> None:
+        """Raise an error unless what all units change is the sum of what each of them does."""
+        blocks = {"parameters": self.program.parameters, "row_lower": self.program.rows}
+        blocks |= {"row_upper": self.program.rows, "lower": self.program.variables}
+        blocks |= {"upper": self.program.variables}
+        for side, named in blocks.items():
+            off, on = getattr(self.off, side), getattr(self.on, side)
+            finite = np.isfinite(off) & np.isfinite(on)
+            total = off[finite] + sum((getattr(a, side)[finite] - off[finite] for a in self.alone), 0.0)
+            wrong = np.abs(total - on[finite]) > 1e-7 * np.maximum(1.0, np.abs(on[finite]))
+            if wrong.any():
+                raise _not_linear(_named(named, np.flatnonzero(finite)[wrong]), _NOT_BY_STAGE)
+
+    def _bounds(self, base: sp.csr_array, limits: Mapping[str, Array]) -> None:
+        """State limits that depend on the status, except those of what units generate and of its ramps.
+
+        Parameters
+        ----------
+        base
+            The rows.
+        limits
+            The sides of rows and variables, which are freed where a limit is stated here.
+        """
+        program, n = self.program, self.program.n_variables
+        most = self.units.p_max.max(axis=1, initial=0.0).sum() + self.model.network.generator.p_max.sum()
+        offset = self.evaluator.rows(np.zeros(n), self.off.parameters)
+        for side, limit in limits.items():
+            rows = side.startswith("row_")
+            blocks = program.rows if rows else program.variables
+            node = _nodes(blocks, limit.size if rows else n, len(self.horizon))
+            own = np.zeros(node.size, dtype=bool)
+            for name in _RAMPS if rows else ("pg",):
+                if name in blocks:
+                    own[blocks[name].slice] = True
+            sign = 1.0 if side.endswith("upper") else -1.0
+            off = np.clip(getattr(self.off, side), -most, most)
+            terms: dict[int, list[tuple[int, float]]] = {}
+            for unit, alone in enumerate(self.alone):
+                moved = np.flatnonzero((getattr(alone, side) != getattr(self.off, side)) & ~own)
+                if (node[moved] < 0).any():
+                    raise _not_linear(_named(blocks, moved[node[moved] < 0]), _NOT_BY_STAGE)
+                # what has no limit while a unit runs is at most what all units can generate
+                change = np.clip(getattr(alone, side)[moved], -most, most) - off[moved]
+                for at, step in zip(moved.tolist(), change.tolist(), strict=True):
+                    terms.setdefault(at, []).append((int(self.u[unit, node[at]]), step))
+            for at, entries in terms.items():
+                columns, values = [at], [1.0]
+                if rows:
+                    part = slice(base.indptr[at], base.indptr[at + 1])
+                    columns, values = base.indices[part].tolist(), base.data[part].tolist()
+                columns += [column for column, _ in entries]
+                values = [*(sign * value for value in values), *(-sign * step for _, step in entries)]
+                self._row(columns, values, -np.inf, sign * (off[at] - (offset[at] if rows else 0.0)))
+                limit[at] = sign * np.inf
 
     # Units -------------------------------------------------------------------------------
 
     def _limits_of_units(self) -> None:
         """State the limits of what each unit generates, tighter in nodes in which it starts or stops."""
-        units, own = self.units, np.zeros(self.size, dtype=bool)
-        own[self.pg] = True
-        moved = np.flatnonzero((self.off.lower != self.on.lower) | (self.off.upper != self.on.upper))
-        for name, block in self.program.variables.items():
-            if own[block.slice].any():
-                continue
-            if ((block.offset <= moved) & (moved < block.offset + block.size)).any():
-                raise _not_linear([name], "limits that depend on the status of units")
+        units, (low, high) = self.units, self._running
         most = self._moves[1]
         count, nodes = units.p_min.shape
         for i in range(count):
             for k in range(nodes):
                 pg, u = int(self.pg[i, k]), int(self.u[i, k])
-                p_max = units.p_max[i, k]
-                self._row([pg, u], [1.0, -units.p_min[i, k]], 0.0, np.inf)
+                p_max = high[i, k]
+                self._row([pg, u], [1.0, -low[i, k]], 0.0, np.inf)
                 self._row([pg, u], [1.0, -p_max], -np.inf, 0.0)
+                if self.model.elastic is not None:  # ramps may be exceeded
+                    continue
                 if k and p_max > most[i, k]:  # implied by the ramps, but not where a status is a fraction
                     self._row([pg, u, int(self.v[i, k])], [1.0, -p_max, p_max - most[i, k]], -np.inf, 0.0)
                 if k + 1 < nodes and p_max > most[i, k + 1]:
@@ -378,6 +408,24 @@ class UnitProgram:
                 self._row([cost, variable], [1.0, -slope], -0.5 * slope * t, np.inf)
         for which in range(self.curved.size):
             self._row([self.first_cost + which], [1.0], 0.0, np.inf)
+
+
+def _nodes(blocks: Mapping[str, Block], size: int, nodes: int) -> Index:
+    """Return the node of each entry of a vector, -1 in blocks that do not have one column per node."""
+    made = np.full(size, -1, dtype=np.intp)
+    for block in blocks.values():
+        if block.stages == nodes:
+            made[block.index] = np.arange(nodes)
+    return made
+
+
+def _named(blocks: Mapping[str, Block], at: Index) -> list[str]:
+    """Return the names of the blocks with some entries of a vector."""
+    return [
+        name
+        for name, block in blocks.items()
+        if ((block.offset <= at) & (at < block.offset + block.size)).any()
+    ]
 
 
 def _not_linear(blocks: object, why: str = "") -> IncompatibleError:
