@@ -268,13 +268,13 @@ network:
     coal: {bus: a, p: [60, 100], cost: {c1: 20, c0: 100}, start_cost: 500, min_up: 2, hours_on: -4}
     gas: {bus: a, p: [0, 100], cost: {c1: 50}}
   loads: {town: {bus: a, p: 30}}
-time: {step: 1, steps: 1}
+time: {step: 1, steps: 4, at_end: shrink}
 profiles: [{table: {file: town.csv}}]
 controller: {horizon: 4, commit: milp}
 """
 
 
-def test_a_scenario_commits_in_a_solve_and_not_in_a_loop(call: Call, tmp_path: Path) -> None:
+def test_a_scenario_commits_before_a_plan_or_a_loop(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "s.yaml"
     path.write_text(SCENARIO)
     (tmp_path / "town.csv").write_text("town.p\n30\n90\n95\n20\n")
@@ -285,8 +285,18 @@ def test_a_scenario_commits_in_a_solve_and_not_in_a_loop(call: Call, tmp_path: P
     assert told["max_violation"] < 1e-6
     assert told["commitments"][0]["on"] == {"coal.on": [0, 1, 1, 0]}
     assert "1 units, 1 starts" in call("solve", path)[1]
-    with pytest.raises(ScenarioError, match=r"s\.yaml:\d+:\d+: controller\.commit: .*closed loop"):
+    code, out, _ = call("run", path, "--json", "--out", tmp_path / "out", "--no-figures")
+    assert code == 0
+    told = json.loads(out)
+    assert told["cost"] == pytest.approx(6900, rel=1e-6)
+    assert told["max_violation"] < 1e-6
+    run = om.load_scenario(path).simulate()
+    assert run.data.pg.sel(generator="coal").values == pytest.approx([0, 90, 95, 0], abs=1e-4)
+    path.write_text(SCENARIO + "forecast: {noisy: {deviation: 0.1, seed: 1}}\nplant: {mode: redispatch}\n")
+    with pytest.raises(ScenarioError, match=r"s\.yaml:\d+:\d+: controller\.commit: .*perfect"):
         om.load_scenario(path).simulate()
+    with pytest.raises(IncompatibleError, match=r"commit = 'milp': .*closed loop"):
+        simulate(Controller(om.MultiStage(system(), 2), commit="milp"))
     with pytest.raises(ModelError, match="commit = 'no': must be"):
         Controller(om.MultiStage(system(), 2), commit="no")  # type: ignore[arg-type]
 

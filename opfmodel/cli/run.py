@@ -45,7 +45,7 @@ def run(
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose)
     report = None
     if done.steps:
-        report = check(loaded.network, done.data, loaded.profiles, previous_pg=done.previous_pg)
+        report = check(loaded.network, done.data, done.problem.profiles, previous_pg=done.previous_pg)
     summary: dict[str, Any] = {
         "scenario": loaded.name,
         **done.summary(),

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import IncompatibleError, ModelError, nearest, shown
+from opfmodel.horizon import Horizon
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.series import at_start, fields_with_series, governed, window
 from opfmodel.plan.commitment_program import UnitProgram, Units
@@ -26,7 +27,7 @@ from solvers import Instance, Kind, classify, solve_mixed
 if TYPE_CHECKING:
     from solvers import MixedSolution
 
-__all__ = ["Commitment", "commit", "plan_with_commitment"]
+__all__ = ["Commitment", "commit", "committed_ahead", "plan_with_commitment", "with_commitment"]
 
 Array = npt.NDArray[np.float64]
 
@@ -52,7 +53,8 @@ class Commitment:
     termination
         Why the search stopped.
     objective, bound
-        Cost of the commitment on the linear model, and a proven lower bound on the cost of any, $.
+        Cost of the commitment on the linear model, with penalties of an elastic problem, and a proven lower
+        bound on the cost of any, $.
     gap
         Relative difference between the two.
     seconds
@@ -434,6 +436,32 @@ def plan_with_commitment(
         if made[-1].found:
             plan = with_commitment(problem, made[-1]).solve(time, initial)
     return plan, made
+
+
+def committed_ahead(problem: MultiStage, steps: int, initial: Initial | None = None) -> MultiStage:
+    """Return a problem with the status of its units in all steps that the plans of a closed loop see.
+
+    Parameters
+    ----------
+    problem
+        The problem of the plans.
+    steps
+        Steps of the loop; its last plan looks a horizon further, or to the end of the data.
+
+    Raises
+    ------
+    ModelError
+        There is no commitment.
+    """
+    _check(problem)
+    ahead = steps + problem.horizon.steps - 1
+    if problem.at_end == "shrink":
+        ahead = min(ahead, problem.profiles.length or ahead)
+    whole = problem.variant(elastic=problem.elastic, horizon=Horizon.chain(ahead, problem.step))
+    found = commit(whole, 0, initial)
+    if not found.found:
+        raise ModelError(f"no commitment of {ahead} steps: {found.status} ({found.termination})")
+    return with_commitment(problem, found)
 
 
 def with_commitment(problem: MultiStage, commitment: Commitment) -> MultiStage:

@@ -10,16 +10,18 @@ import numpy.typing as npt
 
 from opfmodel.data.grid import Grid
 from opfmodel.data.series import Profiles
+from opfmodel.errors import IncompatibleError
 from opfmodel.forecasts import Forecast, Scenarios
 from opfmodel.model import Elastic
 from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import MultiStage
+from opfmodel.plan.commitment import committed_ahead
 from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequence
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.parts import make_plant
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.simulation import Controller, Plant, Run, check_commitment, check_first_stage, simulate
+from opfmodel.simulation import Controller, Plant, Run, check_first_stage, simulate
 
 __all__ = ["Scenario"]
 
@@ -148,6 +150,28 @@ class Scenario:
                 for time in steps:
                     controller.expected(time)
 
+    def committed_problem(self) -> MultiStage:
+        """Return the problem of the closed loop: with the status of the units if the controller commits them.
+
+        They are committed once, before the loop, over all steps that its plans see. So the commitment knows
+        the realised series, and forecasts must be perfect.
+
+        Raises
+        ------
+        ScenarioError
+            The forecast is not perfect, or there is no commitment.
+        """
+        problem, forecast = self.problem, self.forecast
+        if self.settings.controller.commit == "declared":
+            return problem
+        with self.document.located("controller", "commit"):
+            if not forecast.perfect:
+                raise IncompatibleError(
+                    f"milp: needs a perfect forecast in a closed loop, not {type(forecast).__name__}: units "
+                    "are committed for the realised series; or state the series that opfmodel.commit returns"
+                )
+            return committed_ahead(problem, self.steps, self.initial())
+
     def simulate(self, progress: bool = False) -> Run:
         """Run the closed loop of the scenario.
 
@@ -160,14 +184,14 @@ class Scenario:
         with self.document.located("controller"):
             check_first_stage(self.problem)
         self.check_forecast()
-        section = self.settings.controller
-        controller = Controller(
-            self.problem, self.forecast, section.on_infeasible, self.elastic, self.scenarios, section.commit
-        )
-        with self.document.located("controller"):
-            check_commitment(controller)
         return simulate(
-            controller,
+            Controller(
+                self.committed_problem(),
+                self.forecast,
+                self.settings.controller.on_infeasible,
+                self.elastic,
+                self.scenarios,
+            ),
             self.plant(),
             steps=self.steps,
             initial=self.initial(),

@@ -277,8 +277,8 @@ class ControllerSection(Section):
     generator_delay: Literal[0, 1] = Field(0, description="delay of the dispatch in stages")
     commit: Literal["declared", "milp"] = Field(
         "declared",
-        description="which units run: as `on` declares, or, in `opfmodel solve`, by a mixed-integer program "
-        "of the DC model",
+        description="which units run: as `on` declares, or by a mixed-integer program of the DC model, "
+        "solved before the plan of `opfmodel solve` or the loop of `opfmodel run`",
     )
     initial_dispatch: Literal["free", "single-stage"] | None = Field(
         None,

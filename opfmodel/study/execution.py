@@ -117,7 +117,7 @@ def _figures(specification: Specification) -> dict[str, Any]:
     figures["iterations"] = sum(counted) if counted else None
     figures["error"] = None if run.status == "done" else f"{run.status}: {run.termination}"
     if run.steps:
-        report = check(scenario.network, run.data, scenario.profiles, previous_pg=run.previous_pg)
+        report = check(scenario.network, run.data, run.problem.profiles, previous_pg=run.previous_pg)
         figures["max_violation"] = report.max_violation
         figures["unchecked"] = ", ".join(report.unchecked) or None
     return figures
