@@ -16,7 +16,7 @@ from pypsa_networks import snapshots
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.errors import ComponentError, IncompatibleError, ModelError, ScenarioError
+from opfmodel.errors import CaseError, ComponentError, IncompatibleError, ModelError, ScenarioError
 from opfmodel.plan.commitment import plan_with_commitment, with_commitment
 from opfmodel.simulation import Controller, simulate
 
@@ -317,3 +317,9 @@ def test_a_whole_instance_of_pglib() -> None:
     assert found.gap <= 1e-3
     plan = with_commitment(problem, found).solve(0, {"pg": before})
     assert found.bound * (1 - 1e-6) <= plan.objective <= found.objective * (1 + 1e-6)
+
+
+def test_files_without_commitments_report_what_they_leave_out(tmp_path: Path) -> None:
+    grid = system(start_cost=10, hours_on=2)
+    with pytest.raises(CaseError, match="coal: start_cost, hours_on: data of a commitment are left out"):
+        om.write_network(grid, tmp_path / "case.m", lossy=False)

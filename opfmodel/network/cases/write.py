@@ -114,13 +114,22 @@ def find_losses(network: Network, losses: Losses) -> None:
                 f"{name}: regulates = {str(generator.regulates).lower()}: "
                 "the generators at one bus all hold its voltage, or none does"
             )
-        if generator.capability is not None and _trapezoid(generator) is None:
-            losses.add(
-                f"{name}: capability: MATPOWER has one sloped line above and one below, which narrow towards "
-                "the maximum of active power; it is left out"
-            )
-        if generator.participation is not None:
-            losses.add(f"{name}: participation is left out")
+        for loss in _losses_of_generator(generator):
+            losses.add(f"{name}: {loss}")
+
+
+def _losses_of_generator(generator: Generator) -> Iterator[str]:
+    if generator.capability is not None and _trapezoid(generator) is None:
+        yield (
+            "capability: MATPOWER has one sloped line above and one below, which narrow towards "
+            "the maximum of active power; it is left out"
+        )
+    if generator.participation is not None:
+        yield "participation is left out"
+    of_commitment = ("on", "start_cost", "min_up", "min_down", "hours_on")
+    stated = [key for key in of_commitment if getattr(generator, key) != Generator.fields()[key].default]
+    if stated:
+        yield f"{listed(stated)}: data of a commitment are left out"
 
 
 def _losses_of_demand(network: Network) -> Iterator[str]:
