@@ -209,7 +209,7 @@ def test_list(call: Call) -> None:
     assert all(e["summary"] for e in entries)
     assert not [e for e in entries if ":math:" in e["summary"] or "`" in e["summary"]]
     options = {(e["kind"], e["name"]): e["options"] for e in entries}
-    stated = ["deviation", "seed", "correlation=0.9", "fields=[p, q, p_max]", "common_share=0"]
+    stated = ["deviation", "seed", "correlation=0.9", "fields=[p, q, p_max, available]", "common_share=0"]
     assert options["forecast", "noisy"] == stated
     assert options["profile", "scale"] == ["factor", "loads=null"]
     assert options["formulation", "ac"] == []

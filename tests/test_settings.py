@@ -285,5 +285,7 @@ def test_a_budget_limits_the_moves_of_a_day(plant: om.Plant) -> None:
     assert run.data.budget_left_next.values[:, 0] == pytest.approx(left, abs=1e-4)
     assert check(grid, run.data, profiles).max_violation < 1e-6
     grid.update("trafo", move_cost=None)
-    with pytest.raises(om.OpfmodelError, match=r"moves: uses.trafo: the moves of this branch are not counted"):
+    with pytest.raises(
+        om.OpfmodelError, match=r"moves: uses.trafo: the moves of this branch are not counted"
+    ):
         om.MultiStage(grid, 4, profiles=profiles).solve()

@@ -58,7 +58,7 @@ def _field(item: Field[Any]) -> Schema:
         pair = {"type": "array", "items": {"anyOf": number}, "minItems": 2, "maxItems": 2}
         form = [pair, *_shared(number)] if rules["symmetric"] else [pair]
     elif rules["form"] == "adjustable":
-        form = [*_shared(number), {"type": "array", "items": {"anyOf": number}, "minItems": 2, "maxItems": 2}]
+        form = [*number, {"type": "array", "items": {"anyOf": number}, "minItems": 2, "maxItems": 2}]
     elif rules["form"] == "cost":
         form = _cost()
     elif rules["form"] == "points":

@@ -269,7 +269,7 @@ class Declarations:
         stated = {**(others or {}), **plain}
         stand_ins = _stand_ins(kind, [])
         # with numbers in place of the shares, of which the field may be required
-        whole = {key: stand_ins[key] if key in shares else value for key, value in stated.items()}
+        whole = {key: stand_ins.get(key, 1.0) if key in shares else value for key, value in stated.items()}
         faulty = bool(errors) or any(kind.errors_of_mapping(name, whole, wrong))
         component = kind(**(stand_ins if faulty else kind.converted(whole)))
         for key, match in shares.items():
@@ -315,15 +315,13 @@ def _share(component: Component, name: str, key: str, match: re.Match[str], shar
 
 
 def _stand_ins(kind: type[Component], buses: list[str]) -> dict[str, Any]:
-    """Return finite values for the fields of a component."""
+    """Return finite values for the required fields of a component."""
     values = {"number": 1.0, "span": (0.0, 1.0)}
     own = iter(buses)  # each end of a branch has another bus
     made = {}
-    for key, item in kind.fields().items():
-        form = item.metadata["form"]
-        if form == "choice":
-            made[key] = item.metadata["options"][0]
-        elif form in values or form == "bus":
+    for key in kind.required():
+        form = kind.fields()[key].metadata["form"]
+        if form in values or form == "bus":
             made[key] = next(own, "") if form == "bus" else values[form]
     return made
 
