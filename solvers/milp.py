@@ -89,7 +89,7 @@ def solve_mixed(
     import cvxpy as cp
 
     if "HIGHS" not in cp.installed_solvers():
-        raise SolverError("mixed-integer programs are solved by HiGHS, which is not installed: highspy")
+        raise SolverError("mixed-integer programs need HiGHS, which is not installed: pip install highspy")
     binary, n = program.binary, program.q.size
     whole = cp.Variable(binary.size, boolean=True)
     rest = np.setdiff1d(np.arange(n), binary)
