@@ -383,6 +383,13 @@ def test_a_budget_has_no_steady_state() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::opfmodel.errors.CaseWarning")
+def test_a_power_flow_takes_no_account_of_budgets() -> None:
+    grid = system()
+    flow = om.power_flow(grid)
+    grid.remove("cap")
+    assert flow.slack == om.power_flow(grid).slack
+
+
 def test_a_matpower_case_has_no_budgets(tmp_path: Path) -> None:
     with pytest.warns(CaseWarning, match="budgets cap: MATPOWER has no such equipment"):
         om.write_network(system(), tmp_path / "case.m")

@@ -9,10 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.model.declared import Setting
+from opfmodel.network.components import Branch, Shunt
+from opfmodel.network.network import Network
 from opfmodel.plan.request import Request
 from opfmodel.plan.result import Plan
 
-__all__ = ["at_positions"]
+__all__ = ["at_positions", "without_moves"]
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[Request], Plan]
@@ -48,6 +50,16 @@ def at_positions(plan: Plan, solve: Solve, short: Solve) -> Plan:
             break
         solved += [lacking, solve(replace(plan.request, settings=settings))]
     return _with_effort(solved)
+
+
+def without_moves(network: Network) -> Network:
+    """Return a network that counts no moves of taps, phase shifters and shunts."""
+    made = network.copy()
+    members: dict[str, Branch | Shunt] = {**network.of(Branch), **network.of(Shunt)}
+    for name, component in members.items():
+        if component.move_cost is not None:
+            made.update(name, move_cost=None)
+    return made
 
 
 def _moved(settings: Mapping[str, Array], stepped: Mapping[str, Setting], lacking: Plan) -> dict[str, Array]:

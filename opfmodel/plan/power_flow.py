@@ -24,10 +24,10 @@ from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
-from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, Generator, Load, Shunt, Storage
+from opfmodel.network.components import BUILT_IN, Budget, Connection, Reserve
 from opfmodel.network.network import Network
 from opfmodel.network.series import check_series, window
+from opfmodel.plan.positions import without_moves
 from opfmodel.plan.power_flow_result import PowerFlowResult
 from opfmodel.plan.set_points import Held, held, slack_shares
 from solvers import Evaluator, Program
@@ -37,7 +37,8 @@ __all__ = ["PowerFlowResult", "power_flow"]
 
 Array = npt.NDArray[np.float64]
 SLACKS = ("single", "distributed")
-_TAKEN: tuple[type[Component], ...] = (Bus, Branch, Generator, Storage, Load, Shunt)
+_TAKEN = tuple(kind for kind in BUILT_IN if kind is not Connection)
+_ON_PAPER = (Budget, Reserve)  # no part of the grid: a power flow has none of them
 
 
 def power_flow(
@@ -114,7 +115,7 @@ def power_flow(
     integer("limit", limit, at_least=1)
     series = Profiles.of(profiles).or_else(network.profiles)
     check_series(series, network)
-    arrays = per_unit(network)
+    arrays = per_unit(without_moves(network))
     arrays = arrays.with_series(window(series, arrays, integer("step", step, at_least=0), 1))
     _refuse_others(arrays)
     points = held(arrays)
@@ -128,7 +129,7 @@ def power_flow(
 def _refuse_others(network: PerUnitNetwork) -> None:
     for table in network.tables.values():
         if table.kind not in _TAKEN and len(table):
-            taken = ", ".join(kind.plural for kind in _TAKEN)
+            taken = ", ".join(kind.plural for kind in _TAKEN if kind not in _ON_PAPER)
             raise ModelError(
                 f"{table.names[0]}: {table.kind.plural} have no set-points; a power flow takes {taken}"
             )
@@ -214,6 +215,8 @@ class _Flow:
         free[blocks["vm"].index[self.points.at[~self.limited], 0]] = False
         free[blocks["va"].index[self.points.reference, 0]] = False
         free[blocks["slack_q"].index[self.limited, 0]] = False
+        for name in self.model.settings:  # taps, phase shifts and shunts stay at their neutral values
+            free[blocks[name].slice] = False
         return free
 
     def _limit(self, x: Array) -> bool:

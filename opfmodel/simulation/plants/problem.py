@@ -11,10 +11,9 @@ from opfmodel.data.series import SeriesKey
 from opfmodel.horizon import Horizon
 from opfmodel.model import Device, Model, Stage
 from opfmodel.network.arrays import PerUnitNetwork
-from opfmodel.network.components import Branch, Shunt
-from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.positions import without_moves
 from opfmodel.plan.request import Request
 from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values, with_following
@@ -252,7 +251,7 @@ def one_stage(
     It has no devices that are no part of the grid.
     """
     made = MultiStage(
-        _without_moves(problem.network),
+        without_moves(problem.network),
         step=problem.step,
         objective=objective,
         devices=devices,
@@ -262,16 +261,6 @@ def one_stage(
         **{"profiles": problem.profiles, **options},
     )
     made.devices = [device for device in made.devices if device.physical]
-    return made
-
-
-def _without_moves(network: Network) -> Network:
-    """Return a network that counts no moves of taps, phase shifters and shunts: those of the plan count."""
-    made = network.copy()
-    members: dict[str, Branch | Shunt] = {**network.of(Branch), **network.of(Shunt)}
-    for name, component in members.items():
-        if component.move_cost is not None:
-            made.update(name, move_cost=None)
     return made
 
 
