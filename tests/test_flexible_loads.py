@@ -334,6 +334,15 @@ def test_plants_hold_what_is_drawn(plant: om.Plant) -> None:
     assert max(families[f].physical for f in families if f.startswith(("flexible", "active", "reac"))) < 1e-4
 
 
+def test_there_are_no_single_stage_optima_of_a_window() -> None:
+    grid = om.Network("window")
+    grid.bus = om.Bus()
+    grid.unit = om.Generator("bus", p=(0, 50))
+    grid.cars = om.FlexibleLoad("bus", energy=6, power=(0, 4), hours=4)
+    with pytest.raises(IncompatibleError, match="flexible_load carries its flexible_load_delivered"):
+        om.single_stage_sequence(om.MultiStage(grid, 4, formulation="dc"), 4)
+
+
 def test_a_power_flow_draws_the_set_point() -> None:
     grid = om.Network("flow")
     grid.bus = om.Bus(reference=True)

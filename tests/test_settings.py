@@ -188,6 +188,25 @@ def test_a_closed_loop_hands_positions_on(plant: om.Plant) -> None:
     assert check(grid, run.data, profiles).max_violation < 1e-6
 
 
+def test_single_stage_optima_move_for_nothing() -> None:
+    grid, profiles = swinging()
+    cost = om.single_stage_sequence(om.MultiStage(grid, profiles=profiles), 3).cost
+    for name in [*grid.of(om.Branch), *grid.of(om.Shunt)]:
+        grid.update(name, move_cost=None)
+    free = om.single_stage_sequence(om.MultiStage(grid, profiles=profiles), 3)
+    assert cost == pytest.approx(free.cost, rel=1e-9)
+
+
+def test_a_power_flow_holds_neutral_values() -> None:
+    grid = parallel(tap=(1.02, 1.1), shift=(-10, 10))
+    grid.bank = om.Shunt("b", b=(-10, 40), steps=5, move_cost=1)
+    flow = om.power_flow(grid)
+    grid.update("two", tap=1.02, shift=0)
+    grid.remove("bank")
+    assert flow.converged
+    assert flow.slack == pytest.approx(om.power_flow(grid).slack, abs=1e-9)
+
+
 def test_the_check_finds_falsified_settings() -> None:
     grid, profiles = swinging()
     grid.capacitor = om.Shunt("end", b=(0, 10), steps=2)

@@ -20,6 +20,7 @@ from opfmodel.network.network import Network
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.setpoint_tracking import Setpoints
 from opfmodel.plan.multistage import MultiStage
+from opfmodel.plan.positions import without_moves
 from opfmodel.plan.result import Plan
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class SingleStageSequence:
 
 
 def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> SingleStageSequence:
-    """Solve every step on its own, without storage, ramps, reserves and custom constraints.
+    """Solve every step on its own, without storage, ramps, moves that cost, reserves and custom constraints.
 
     All steps are stages of one program without coupling; steps with equal data are solved once.
 
@@ -107,8 +108,8 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
     Raises
     ------
     ModelError
-        A step has no solution (the message names the step and the reason), or a device of another
-        package couples the steps.
+        A step has no solution (the message names the step and the reason), or a component other than
+        a storage carries something from step to step.
     """
     left_out: list[type[Component]] = [
         Storage,
@@ -147,7 +148,7 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
             for state in alone.model.states.values()
             if state.role == "stock" and len(alone.arrays.tables[state.kind])
         ]
-        if stages > 1 and carried:
+        if steps > 1 and carried:
             raise IncompatibleError(
                 f"single-stage optima: {carried[0].kind} carries its {carried[0].name} from stage to stage; "
                 "only storages may do so"
@@ -168,8 +169,8 @@ def single_stage_sequence(problem: MultiStage, steps: int, start: int = 0) -> Si
 
 
 def _alone(network: Network, left_out: Sequence[type[Component]]) -> Network:
-    """Return the network without some kinds of components, ramps and attached time series."""
-    alone = network.copy()
+    """Return the network without some kinds of components, ramps, costs of moves and attached series."""
+    alone = without_moves(network)
     alone.attach(Profiles())
     for kind in left_out:
         for name in network.of(kind):
