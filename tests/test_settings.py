@@ -188,6 +188,24 @@ def test_a_closed_loop_hands_positions_on(plant: om.Plant) -> None:
     assert check(grid, run.data, profiles).max_violation < 1e-6
 
 
+@pytest.mark.parametrize("formulation", ["soc", "dc"])
+def test_plants_hold_positions_that_a_plan_neglects(formulation: str) -> None:
+    grid, profiles = swinging()
+    grid.update("trafo", tap=(0.95, 1.08), tap_steps=3)  # 1 is no position
+    grid.capacitor = om.Shunt("end", b=(0, 10), steps=2)
+    run = om.simulate(om.MultiStage(grid, 2, formulation=formulation, profiles=profiles), om.PowerFlow(), 2)
+    violations = check(grid, run.data, profiles).violations
+    assert violations["branch tap position"].value < 1e-9
+    assert violations["shunt b position"].value < 1e-9
+
+
+def test_plans_that_end_with_the_data_have_positions() -> None:
+    grid, profiles = swinging()
+    plan = om.MultiStage(grid, 4, profiles=profiles, at_end="shrink").solve(1)
+    assert (plan.stages, plan.status) == (3, "locally_optimal")
+    assert check(grid, plan.data, profiles, first=1).max_violation < 1e-6
+
+
 def test_single_stage_optima_move_for_nothing() -> None:
     grid, profiles = swinging()
     cost = om.single_stage_sequence(om.MultiStage(grid, profiles=profiles), 3).cost

@@ -120,7 +120,7 @@ class Numbers:
         """
         low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         if np.isnan(low).any() or np.isnan(high).any():
-            known = self._bounds(name)
+            known = [bound[:, self.begin :] for bound in self._bounds(name)]
             low, high = np.where(np.isnan(low), known[0], low), np.where(np.isnan(high), known[1], high)
         if self.begin and (low.ndim or high.ndim):
             every = self._bounds(name)

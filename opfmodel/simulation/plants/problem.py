@@ -122,12 +122,16 @@ class ACPlant(Plant):
         return found
 
     def _settings(self, plan: Plan) -> dict[str, Array]:
-        """Return the taps, phase shifts and shunts of a plan, or their neutral values if it decides none."""
+        """Return the taps, phase shifts and shunts of a plan, or their neutral values if it decides none.
+
+        Those that the plan does not put at a position, as in a relaxation, are at the nearest one.
+        """
         assert self._own is not None
         made, chosen = {}, plan.quantities()
         for setting in self._own.model.settings.values():
             values = chosen.get((setting.kind, setting.name), setting.neutral)[:, :1]
-            made[setting.name] = np.clip(values, setting.low, setting.high)
+            held = np.clip(values, setting.low, setting.high)
+            made[setting.name] = np.where(setting.stepped, setting.rounded(held), held)
         return made
 
     def stocks(self, plan: Plan) -> dict[str, Array]:
