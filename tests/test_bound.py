@@ -51,6 +51,16 @@ def parallel() -> om.Network:
     return grid
 
 
+def test_a_bound_holds_for_all_positions() -> None:
+    grid = feeder()
+    grid.update("ab", tap=(0.9, 1.1), tap_steps=3, move_cost=3)
+    plan = om.MultiStage(grid, 2).solve(initial={"tap": [0.95, 1.0]})
+    certificate = om.certify(plan)
+    assert plan.rounded_from is not None
+    assert certificate.lower == pytest.approx(plan.rounded_from.objective, rel=1e-6)
+    assert certificate.upper == plan.objective
+
+
 def beyond(most: float = 300.0) -> om.Network:
     """Two buses with a demand that the line cannot carry."""
     grid = two_bus()

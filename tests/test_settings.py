@@ -11,6 +11,7 @@ from pypower.api import ppoption, runopf
 from scipy.optimize import linprog
 
 import opfmodel as om
+from opfmodel.analysis.subject import Subject
 from opfmodel.check import check
 from opfmodel.network.cases.write import tables_of
 
@@ -204,6 +205,14 @@ def test_plans_that_end_with_the_data_have_positions() -> None:
     plan = om.MultiStage(grid, 4, profiles=profiles, at_end="shrink").solve(1)
     assert (plan.stages, plan.status) == (3, "locally_optimal")
     assert check(grid, plan.data, profiles, first=1).max_violation < 1e-6
+
+
+def test_settings_are_no_states_of_the_theory() -> None:
+    grid, profiles = swinging()
+    grid.cell = om.Storage("end", energy=20, power=5)
+    subject = Subject(om.MultiStage(grid, 3, profiles=profiles))
+    assert [state.name for state in subject.states] == ["pg", "qg", "e"]
+    assert subject.declared({"pg": [10], "qg": [0], "e": [5]}) == pytest.approx([0.1, 0, 0.05])
 
 
 def test_single_stage_optima_move_for_nothing() -> None:

@@ -17,6 +17,7 @@ from solvers import SolutionStatus, TerminationCondition, UnsupportedProgramErro
 
 if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
+    from opfmodel.plan.request import Request
 
 __all__ = ["Certificate", "certify", "check_bounded"]
 
@@ -105,7 +106,7 @@ def certify(plan: Plan) -> Certificate:
     began = clock.perf_counter()
     check_bounded(plan.problem)
     problem = plan.problem.relaxed_problem
-    request = plan.request
+    request = _without_settings(plan)
     if plan.solution.skipped:  # the plan ends with the data, before the end of its program
         problem = problem.variant(elastic=None, horizon=plan.horizon)
         request = replace(request, horizon=plan.horizon)
@@ -149,6 +150,13 @@ def _refused(problem: MultiStage) -> Iterator[None]:
         ) from error
     except IncompatibleError as error:
         raise IncompatibleError(f"bound: {error}") from error
+
+
+def _without_settings(plan: Plan) -> Request:
+    """Return the request of a plan for a relaxation, which has neither positions nor moves of settings."""
+    given, own = plan.request.initial, plan.model.settings
+    initial = None if given is None else {name: values for name, values in given.items() if name not in own}
+    return replace(plan.request, settings=None, initial=initial)
 
 
 def _known(bound: float) -> float:

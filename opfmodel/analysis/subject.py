@@ -130,14 +130,14 @@ class Subject:
     """
 
     def __init__(self, problem: MultiStage, step: int = 0, advance: Advance = silent) -> None:
-        for device in problem.devices:
-            if device.component.clocked and not device.physical:
-                names = listed(problem.arrays.tables[device.component.kind].names)
-                raise IncompatibleError(
-                    f"{names}: {device.component.plural} depend on the time of day and have no steady state; "
-                    "analyse the scenario without them"
-                )
         self.problem, self.step, self.advance = problem, step, advance
+        for state in self.stage_problem.model.states.values():
+            table = problem.arrays.tables[state.kind]
+            if len(table) and state.role == "stock" and not state.ends and table.kind.clocked:
+                raise IncompatibleError(
+                    f"{listed(table.names)}: {state.name} depends on the time of day and has no steady "
+                    f"state; analyse the scenario without such {table.kind.plural}"
+                )
 
     def problem_of(
         self,
@@ -222,9 +222,14 @@ class Subject:
 
     @cached_property
     def states(self) -> tuple[State, ...]:
-        """The blocks of the state, in the order of x."""
+        """The blocks of the state, in the order of x, without settings of the network.
+
+        Only the cost of moves links these with the stage before; without it, bounds stay bounds.
+        """
         found, size = [], 0
         for name, state in self.stage_problem.model.states.items():
+            if state.role == "setting":
+                continue
             count = len(self.problem.arrays.tables[state.kind])
             found.append(State(name, state.kind, slice(size, size + count), state.role == "stock"))
             size += count
