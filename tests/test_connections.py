@@ -14,9 +14,17 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import opfmodel as om
+from opfmodel.analysis.subject import Subject
 from opfmodel.check import check
 from opfmodel.data.calendar import Calendar, Times
-from opfmodel.errors import CaseError, ComponentError, ModelError, ProfileError, SecurityError
+from opfmodel.errors import (
+    CaseError,
+    ComponentError,
+    IncompatibleError,
+    ModelError,
+    ProfileError,
+    SecurityError,
+)
 from opfmodel.forecasts import Noisy
 from opfmodel.model.elastic import Elastic
 from opfmodel.network.inspection import inspect
@@ -371,13 +379,27 @@ network:
   loads: {shop: {bus: a, p: 4}}
 time: {step: 1, steps: 4}
 profiles: [{table: {file: series.csv}}]
-controller: {horizon: 4, formulation: dc, security: {contingencies: {connections: []}}}
+controller: {horizon: 4, formulation: dc, security: {contingencies: {connections: []}}, on_infeasible: elastic}
+plant: {outages: [{connection: grid, step: 3, hours: 1}]}
 """
     )
     run = om.load_scenario(tmp_path / "shop.yaml").simulate()
     assert run.status == "done"
+    assert run.data["connection_status"].values[:, 0].tolist() == [1, 1, 1, 0]
     highest = run.data["connection_p"].values.max()
     assert run.data["connection_peak_next"].values[-1, 0] == pytest.approx(highest, abs=1e-9)
+
+
+@pytest.mark.parametrize("peak_cost", [0, 100])
+def test_peaks_have_no_steady_state(peak_cost: float) -> None:
+    network = site()
+    network.update("grid", peak_cost=peak_cost)
+    problem = om.MultiStage(network, 3, formulation="dc")
+    if not peak_cost:
+        assert {state.name for state in Subject(problem).states} >= {"e"}
+        return
+    with pytest.raises(IncompatibleError, match="grid: connection_peak depends on the time of day"):
+        Subject(problem)
 
 
 # The independent check ------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from opfmodel.data.series import Profiles
 from opfmodel.errors import ModelError, ProfileError, ScenarioError, nearest, shown
 from opfmodel.forecasts import Case, Draw, Forecast, Scenarios
 from opfmodel.horizon import Horizon
-from opfmodel.network.arrays import PerUnitNetwork, per_unit
+from opfmodel.network.arrays import OUTAGES, PerUnitNetwork, per_unit
 from opfmodel.network.bounds import number_within
 from opfmodel.network.components import Load
 from opfmodel.network.network import Network
@@ -282,7 +282,8 @@ def make_outages(document: Document, settings: ScenarioFile, network: PerUnitNet
     for number, section in enumerate(settings.plant.outages):
         at, named = ("plant", "outages", number), section.named
         if len(named) != 1:
-            text = f"names {len(named)} components; must name one: a branch, generator, storage or dc_line"
+            kinds = ", ".join(kind.kind for kind in OUTAGES)
+            text = f"names {len(named)} components; must name one, of the kind {kinds}"
             document.faults.add(document.fault(at, text))
             continue
         [(kind, name)] = named.items()

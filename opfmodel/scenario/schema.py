@@ -328,6 +328,7 @@ class OutageSection(Section):
     storage: str | None = Field(None, description="name of a storage, in place of a branch")
     renewable: str | None = Field(None, description="name of a renewable, in place of a branch")
     dc_line: str | None = Field(None, description="name of a DC line, in place of a branch")
+    connection: str | None = Field(None, description="name of a connection, in place of a branch")
     step: int = Field(ge=0, description="step of the loop at whose beginning it trips, from 0 on")
     hours: Annotated[float, In("h")] = Field(
         gt=0, description="how long it is out of service, a multiple of `time.step`"
@@ -342,6 +343,7 @@ class OutageSection(Section):
             "storage": self.storage,
             "renewable": self.renewable,
             "dc_line": self.dc_line,
+            "connection": self.connection,
         }
         return {kind: name for kind, name in given.items() if name is not None}
 
