@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pypsa_networks import snapshots
 
 import opfmodel as om
 from opfmodel.check import check
-from opfmodel.errors import ComponentError, ProfileError
+from opfmodel.errors import CaseError, ComponentError, ProfileError
 from opfmodel.simulation import Controller, NominalPlant, Plant, simulate
 
 DEMAND = 80 + 30 * np.sin(np.arange(24) / 3)
@@ -176,3 +177,8 @@ def test_the_check_finds_units_that_run_when_shut_down(quantity: str, step: int,
     data = om.MultiStage(grid, 12, profiles=series).solve().data
     data[quantity].loc[{"generator": "coal", "time": step}] += 5.0
     assert check(grid, data, series).violations[family].value == pytest.approx(0.05, rel=1e-3)
+
+
+def test_a_network_file_has_no_status_between_zero_and_one(tmp_path: Path) -> None:
+    with pytest.raises(CaseError, match=r"coal: on = 0\.5 is left out"):
+        om.write_network(system(on=0.5), tmp_path / "case.m", lossy=False)

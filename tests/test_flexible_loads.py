@@ -451,5 +451,5 @@ def test_figures_and_limits_show_the_load() -> None:
 
 
 def test_a_writer_reports_the_load_as_lost(tmp_path: Path) -> None:
-    with pytest.warns(CaseWarning, match="flexible loads cars: MATPOWER has no such equipment"):
+    with pytest.warns(CaseWarning, match="flexible_loads cars: MATPOWER has no such equipment"):
         om.write_network(market(), tmp_path / "case.m")

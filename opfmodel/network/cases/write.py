@@ -13,7 +13,7 @@ from opfmodel.network.cases.capability import COLUMNS, Trapezoid, trapezoid_of
 from opfmodel.network.cases.losses import Losses
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.component import Component
-from opfmodel.network.components import Branch, Bus, DCLine, FlexibleLoad, Generator, Load, Shunt, Storage
+from opfmodel.network.components import Branch, Bus, DCLine, Generator, Load, Shunt, Storage
 from opfmodel.network.costs import PiecewiseLinear, Polynomial
 from opfmodel.network.network import Network
 
@@ -104,9 +104,6 @@ def find_losses(network: Network, losses: Losses) -> None:
     for name in network:
         for loss in _losses_of(network[name]):
             losses.add(f"{name}: {loss}")
-    for name, storage in network.of(Storage).items():
-        for loss in _losses_of_storage(storage):
-            losses.add(f"{name}: {loss}")
     regulated = _regulated(network)
     for name, generator in network.of(Generator).items():
         if generator.in_service and generator.regulates != regulated[generator.bus]:
@@ -136,9 +133,6 @@ def _losses_of_demand(network: Network) -> Iterator[str]:
     idle = [n for n in network if isinstance(network[n], Load | Shunt) and not network[n].in_service]
     if idle:
         yield f"{listed(idle)}: MATPOWER has no status for loads and shunts; they are left out"
-    flexible = [name for name, load in network.of(FlexibleLoad).items() if load.in_service]
-    if flexible:
-        yield f"flexible loads {listed(flexible)}: MATPOWER has no such equipment"
     for name, load in network.of(Load).items():
         if load.in_service and load.shed_cost is not None:
             yield f"{name}: shed_cost is left out"
