@@ -296,6 +296,8 @@ def test_a_power_flow_injects_what_is_available() -> None:
     flow = om.power_flow(pair(available=95, rating=20))
     assert flow.status == "converged"
     assert flow.data["renewable_p"].values == pytest.approx(20)
+    assert flow.data["renewable_curtailed"].values == pytest.approx(75)
+    assert "renewable curtailment" in check(pair(available=95, rating=20), flow.data).violations
 
 
 def test_figures_show_it() -> None:

@@ -90,6 +90,9 @@ class HeldRenewables(Device):
         """Publish ``renewable_p`` and ``renewable_q`` as set."""
         p, q = model.parameter("renewable", "p_set"), model.parameter("renewable", "q_set")
         model.publish("renewable", "renewable_p", p, unit="MW", description="renewable generation")
+        curtailed = model.field("renewable", "available") - p
+        text = "available power not generated"
+        model.publish("renewable", "renewable_curtailed", curtailed, unit="MW", description=text)
         text = "reactive power of renewables"
         model.publish("renewable", "renewable_q", q, unit="MVAr", description=text)
         model.inject(table.bus, p=p, q=q)
