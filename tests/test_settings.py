@@ -267,6 +267,14 @@ def test_contingencies_leave_settings_as_they_were() -> None:
     assert costs[0] == pytest.approx(costs[1], rel=1e-6)
 
 
+def test_a_plan_with_one_contingency_is_assessed() -> None:
+    grid = parallel(shift=(-10, 10))
+    grid.link = om.DCLine("a", "b", p=20)
+    security = om.Security({"dc_lines": ["link"]}, screen=False)
+    plan = om.MultiStage(grid, 1, formulation="dc", security=security).solve()
+    assert [outcome.status for outcome in om.assess(plan, security).outcomes] == ["secure"]
+
+
 def test_trees_and_uneven_stages_count_moves_along_their_paths() -> None:
     grid, profiles = swinging()
     tree = om.Horizon.tree([1, 1, 2], {"low": 0.4, "high": 0.6}, common=1)

@@ -102,7 +102,9 @@ def stages_of(plan: Plan) -> list[Stage]:
             if name not in solution.program.variables:
                 return None
             found = solution.variable(name)
-            nodes = plan.nodes.columns(found.shape[1])
+            nodes, source = plan.nodes.columns(found.shape[1]), plan.model.bounds.get(name)
+            if source is not None and source.nodes is not None and source.nodes.size == found.shape[1]:
+                nodes = source.nodes  # as many columns may mean other nodes
             return None if nodes is None else found[:, int(np.flatnonzero(nodes == node)[0])]
 
         return values
