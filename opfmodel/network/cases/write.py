@@ -123,7 +123,9 @@ def _losses_of_generator(generator: Generator) -> Iterator[str]:
         )
     if generator.participation is not None:
         yield "participation is left out"
-    of_commitment = ("on", "start_cost", "min_up", "min_down", "hours_on")
+    if generator.in_service and generator.on != 1.0:
+        yield f"on = {generator.on:g} is left out; the limits and costs are those of on = 1"
+    of_commitment = ("start_cost", "min_up", "min_down", "hours_on")
     stated = [key for key in of_commitment if getattr(generator, key) != Generator.fields()[key].default]
     if stated:
         yield f"{listed(stated)}: data of a commitment are left out"
