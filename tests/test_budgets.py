@@ -16,7 +16,7 @@ import opfmodel as om
 from opfmodel.analysis.subject import Subject
 from opfmodel.check import check
 from opfmodel.data.calendar import Calendar
-from opfmodel.errors import CaseWarning, ComponentError, IncompatibleError
+from opfmodel.errors import CaseWarning, ComponentError, IncompatibleError, ScenarioError
 from opfmodel.forecasts.noisy import Noisy
 from opfmodel.simulation import Controller, NominalPlant, Plant, simulate
 
@@ -363,6 +363,10 @@ time: {steps: 6}
     assert left[3] == pytest.approx(0.0, abs=1e-3)
     assert left[4] >= 35.0
     assert scenario.network["cap"] == om.Budget(amount=60, uses={"coal": 0.5}, hours=4)
+    for right, wrong in (("60 units", "60 t"), ("{coal: 0.5 units/MWh}", "coal")):
+        (tmp_path / "wrong.yaml").write_text(file.read_text().replace(right, wrong))
+        with pytest.raises(ScenarioError, match=r"wrong\.yaml:6:\d+: network\.budgets\.cap\.(amount|uses): "):
+            om.load_scenario(tmp_path / "wrong.yaml")
 
 
 @pytest.mark.parametrize("time", [0, 7])

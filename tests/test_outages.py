@@ -464,6 +464,7 @@ OF = {"step": 1, "hours": 1}
     ("over", "text"),
     [
         ({"outages": [{"branch": "1-7", **OF}]}, r"plant\.outages\.0\.branch: '1-7': no branch in service .*'1-"),
+        ({"outages": [{"connection": "grid", **OF}]}, r"^[^\n]*outages\.0\.connection: 'grid': no connection [^\n]*$"),
         ({"outages": [{"generator": "1-4", **OF}]}, r"outages\.0\.generator: '1-4': no generator in service"),
         ({"outages": [OF]}, r"plant\.outages\.0: names 0 components; must name one"),
         ({"outages": [{"branch": "1-4", "generator": "gen1", **OF}]}, r"outages\.0: names 2 components"),

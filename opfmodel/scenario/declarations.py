@@ -316,7 +316,7 @@ def _share(component: Component, name: str, key: str, match: re.Match[str], shar
 
 def _stand_ins(kind: type[Component], buses: list[str]) -> dict[str, Any]:
     """Return finite values for the required fields of a component."""
-    values = {"number": 1.0, "span": (0.0, 1.0)}
+    values: dict[str, Any] = {"number": 1.0, "span": (0.0, 1.0), "weights": {}}
     own = iter(buses)  # each end of a branch has another bus
     made = {}
     for key in kind.required():

@@ -156,7 +156,8 @@ class _Reader:
         if plant is not None:
             with faults, document.located("plant"):
                 plant.check(problem.arrays)
-                plant.outages.check(problem)
+                if not faults.broken("plant", "outages"):
+                    plant.outages.check(problem)
             if forecast is not None:
                 with faults, document.located("forecast"):
                     check_response(forecast, plant)

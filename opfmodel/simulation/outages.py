@@ -32,7 +32,7 @@ class Outage:
     Parameters
     ----------
     component
-        Name of a branch, generator, storage or DC line.
+        Name of a branch, generator, storage, renewable, DC line or connection.
     step
         Step of the loop at whose beginning it trips.
     hours
