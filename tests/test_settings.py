@@ -275,6 +275,16 @@ def test_a_plan_with_one_contingency_is_assessed() -> None:
     assert [outcome.status for outcome in om.assess(plan, security).outcomes] == ["secure"]
 
 
+def test_a_preventive_response_switches_no_shunts() -> None:
+    grid = parallel()
+    grid.update("town", p=40, q=20)
+    grid.bank = om.Shunt("b", b=(0, 40), steps=4, move_cost=1)
+    security = om.Security({"branches": ["one"]}, "preventive", rating=3, screen=False)
+    plan = om.MultiStage(grid, 2, security=security).solve()
+    assert plan.optimal
+    assert om.assess(plan).secure
+
+
 def test_trees_and_uneven_stages_count_moves_along_their_paths() -> None:
     grid, profiles = swinging()
     tree = om.Horizon.tree([1, 1, 2], {"low": 0.4, "high": 0.6}, common=1)

@@ -172,7 +172,7 @@ class Security:
             (name, p) for name, p in model.published.items()
             if name in model.build.variables
             and p.kind not in ("bus", "branch")
-            and name not in model.settings
+            and name.removesuffix("_moves") not in model.settings  # held in any case
             and not (name in model.states and model.states[name].role == "stock")
         ]  # fmt: skip
         for name, published in decided:
