@@ -362,7 +362,10 @@ def test_imports_count_as_capacity_and_appear_in_figures() -> None:
     data = om.MultiStage(network, 2, formulation="dc", profiles=SERIES).solve().data
     assert injections(data) == ["connection_p"]
     assert data["connection_p_max"].values == pytest.approx(40)
-    assert "connection" in [text.get_text().split()[0] for text in system(data).legends[0].get_texts()]
+    figure = system(data)
+    assert "connection" in [text.get_text().split()[0] for text in figure.legends[0].get_texts()]
+    figure.canvas.draw()
+    assert figure.legends[0].get_window_extent().width < figure.bbox.width
 
 
 def test_a_scenario_file_has_connections(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ __all__ = ["at_bus", "chosen", "generation", "injections", "members", "named_bus
 _MOST_BUSES = 7  # of a network of which all are shown by default
 _MOST_NAMES = 5  # in a message
 _GENERATED = (("generator", "pg"), ("renewable", "renewable_p"))
+_SHOWN = ("renewable_p", "flexible_load_p")  # as generation and demand
 
 
 def stages(data: xr.Dataset) -> str:
@@ -39,7 +40,7 @@ def generation(data: xr.Dataset) -> Any:
 
 def injections(data: xr.Dataset) -> list[str]:
     """Names of the injections of further kinds, ``<kind>_p``, by component or summed at the buses."""
-    named = [str(n) for n in data if str(n).endswith("_p")]
+    named = [str(n) for n in data if str(n).endswith("_p") and str(n) not in _SHOWN]
     return [n for n in named if data[n].dims in {(stages(data), at) for at in ("bus", n.removesuffix("_p"))}]
 
 

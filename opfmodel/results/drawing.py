@@ -35,7 +35,7 @@ __all__ = [
 # Okabe-Ito palette; distinct line styles keep figures readable in greyscale.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 WIDTH = 7.2  # inches: the text width of a page
-_COLUMNS = 7  # of a legend
+_CHARACTERS = 118  # in a row of a legend
 
 
 def column(rows: int) -> tuple[Figure, list[Any]]:
@@ -124,7 +124,16 @@ def finish(figure: Figure, data: xr.Dataset) -> None:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             known.setdefault(label, handle)
     if known:
-        add_legend(figure, list(known.values()), list(known), min(len(known), _COLUMNS))
+        add_legend(figure, list(known.values()), list(known), _columns(list(known)))
+
+
+def _columns(labels: Sequence[str]) -> int:
+    """Return how many columns of a legend fit into the width of a figure."""
+    for columns in range(min(len(labels), 7), 1, -1):
+        widest = [max(map(len, own)) for own in np.array_split(np.array(labels, dtype=object), columns)]
+        if sum(widest) + 9 * columns <= _CHARACTERS:  # a line and the space beside it take nine
+            return columns
+    return 1
 
 
 def label_time(axis: Any, data: xr.Dataset, *, narrow: bool = False) -> None:

@@ -46,11 +46,11 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     power, rest = next(panels), next(panels)
     draw_steps(power, data, drawn, label="demand", color=COLOURS[6], linestyle="-.")
     draw_steps(power, data, generation(data), label="generation", color=COLOURS[0])
-    if "renewable_p" in data:
+    if _has(data, "renewable_p"):
         renewable = total(data, "renewable_p")
         draw_steps(power, data, renewable, label="of which renewable", color=COLOURS[2], linestyle=":")
     for quantity, label, style in _PARTS:
-        if quantity in data:
+        if _has(data, quantity):
             draw_steps(power, data, total(data, quantity), label=label, color=COLOURS[5], linestyle=style)
     power.set_ylabel("power [MW]")
     if stored:
@@ -58,15 +58,13 @@ def system(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:  # n
     if {"pf", "pt"} <= set(data):
         losses = total(data, "pf") + total(data, "pt")
         draw_steps(rest, data, losses, label="branch losses", color=COLOURS[4])
-    if "dc_line_loss" in data:
+    if _has(data, "dc_line_loss"):
         draw_steps(
             rest, data, total(data, "dc_line_loss"), label="DC line losses", color=COLOURS[3], linestyle=":"
         )
     for number, name in enumerate(injections(data)):
-        label = name.removesuffix("_p")
-        draw_steps(
-            rest, data, total(data, name), label=f"{label} (injection > 0)", color=COLOURS[5 - number % 2]
-        )
+        label, colour = name.removesuffix("_p"), COLOURS[5 if number % 2 == 0 else 0]
+        draw_steps(rest, data, total(data, name), label=f"{label} (injection > 0)", color=colour)
     rest.set_ylabel("power [MW]")
     if stored:
         axis = next(panels)
@@ -95,7 +93,7 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     axes[0].set_ylabel("demand [MW], [MVAr]")
     draw_steps(axes[1], data, total(data, "pd"), label="all buses", color=COLOURS[6], linestyle="-.")
     for quantity, label, style in _PARTS:
-        if quantity in data:
+        if _has(data, quantity):
             draw_steps(axes[1], data, total(data, quantity), label=label, color=COLOURS[5], linestyle=style)
     axes[1].set_ylabel("total demand [MW]")
     finish(figure, data)
@@ -135,6 +133,11 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
         draw_key(axes[0])
     finish(figure, data)
     return figure
+
+
+def _has(data: xr.Dataset, quantity: str) -> bool:
+    """Whether results have a quantity of at least one component."""
+    return quantity in data and data[quantity].size > 0
 
 
 FIGURES = {"system": system, "demand": demand, "buses": buses, "paper": paper}
