@@ -353,6 +353,15 @@ def test_a_power_flow_and_a_case_have_no_connections(tmp_path: Path) -> None:
         om.write_network(network, tmp_path / "case.m", lossy=False)
 
 
+def test_a_peak_charge_has_no_steady_state() -> None:
+    network = site()
+    with pytest.raises(IncompatibleError, match="no generator is in service"):
+        Subject(om.MultiStage(network, 2, formulation="dc"))
+    network.unit = om.Generator("a", p=(0, 5))
+    with pytest.raises(IncompatibleError, match="grid: a charge for the peak of a period"):
+        Subject(om.MultiStage(network, 2, formulation="dc"))
+
+
 def test_imports_count_as_capacity_and_appear_in_figures() -> None:
     network = site()
     network.update("a", reference=False)

@@ -130,6 +130,22 @@ class Subject:
     """
 
     def __init__(self, problem: MultiStage, step: int = 0, advance: Advance = silent) -> None:
+        for device in problem.devices:
+            if device.component.clocked and not device.physical:
+                names = listed(problem.arrays.tables[device.component.kind].names)
+                raise IncompatibleError(
+                    f"{names}: {device.component.plural} depend on the time of day and have no steady state; "
+                    "analyse the scenario without them"
+                )
+        if not len(problem.arrays.generator):
+            raise IncompatibleError("no generator is in service: only grids with generators can be analysed")
+        table = problem.arrays.tables["connection"]
+        charged = [name for name, cost in zip(table.names, table.peak_cost, strict=True) if np.any(cost > 0)]
+        if charged:
+            raise IncompatibleError(
+                f"{listed(charged)}: a charge for the peak of a period has no steady state; analyse the "
+                "scenario with peak_cost: 0"
+            )
         self.problem, self.step, self.advance = problem, step, advance
         for state in self.stage_problem.model.states.values():
             table = problem.arrays.tables[state.kind]
@@ -310,7 +326,8 @@ class Subject:
             if state.stock:
                 source = self.stage_problem.model.bounds[state.name]
                 limits = source.resolve(self.steady.plan.network.tables[state.kind])
-                ends[:, state.where] = self.unit * np.hstack(limits).T
+                for end, limit in zip(ends, limits, strict=True):
+                    end[state.where] = self.unit * np.ravel(limit)  # of all alike, or of each
         return ends[0], ends[1]
 
     @property
