@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 import opfmodel as om
+from opfmodel.analysis.subject import Subject
 from opfmodel.check import check
 from opfmodel.data.calendar import Calendar, Times
-from opfmodel.errors import CaseError, ComponentError, ProfileError
+from opfmodel.errors import CaseError, ComponentError, IncompatibleError, ProfileError
 from opfmodel.forecasts import Noisy
 from opfmodel.model.elastic import Elastic
 
@@ -390,3 +391,12 @@ controller: {horizon: 3, formulation: dc}
     assert report.max_violation < 1e-6
     assert report.cost == pytest.approx(run.cost, rel=1e-6)
     assert run.data["e_next"].values[1, 0] == pytest.approx(4, abs=1e-5)
+
+
+def test_energy_wanted_at_an_hour_has_no_steady_state() -> None:
+    grid = om.Network("wanted")
+    grid.bus = om.Bus()
+    grid.unit = om.Generator("bus", p=(0, 50))
+    grid.cell = om.Storage("bus", energy=10, power=5, wanted=8, wanted_at=3)
+    with pytest.raises(IncompatibleError, match="cell: wanted depends on the time of day"):
+        Subject(om.MultiStage(grid, 3, formulation="dc"))

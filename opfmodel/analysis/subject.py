@@ -154,6 +154,12 @@ class Subject:
                     f"{listed(table.names)}: {state.name} depends on the time of day and has no steady "
                     f"state; analyse the scenario without such {table.kind.plural}"
                 )
+        storage = problem.arrays.storage
+        wanted = [storage.names[i] for i in np.flatnonzero(np.isfinite(storage.wanted).any(axis=1))]
+        if wanted:
+            raise IncompatibleError(
+                f"{listed(wanted)}: wanted depends on the time of day; analyse the scenario without it"
+            )
 
     def problem_of(
         self,
