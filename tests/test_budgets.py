@@ -382,7 +382,7 @@ def test_the_price_is_the_value_of_one_more_unit(time: int) -> None:
 
 
 def test_a_budget_has_no_steady_state() -> None:
-    with pytest.raises(IncompatibleError, match="cap: budget_left depends on the time of day"):
+    with pytest.raises(IncompatibleError, match="cap: budgets depend on the time of day"):
         Subject(om.MultiStage(system(), 3, formulation="dc"))
 
 

@@ -406,11 +406,14 @@ plant: {outages: [{connection: grid, step: 3, hours: 1}]}
 def test_peaks_have_no_steady_state(peak_cost: float) -> None:
     network = site()
     network.update("grid", peak_cost=peak_cost)
+    network.backup = om.Generator("a", p=(0, 5), cost=om.Polynomial(0, 400, 0))
     problem = om.MultiStage(network, 3, formulation="dc")
     if not peak_cost:
         assert {state.name for state in Subject(problem).states} >= {"e"}
         return
-    with pytest.raises(IncompatibleError, match="grid: connection_peak depends on the time of day"):
+    with pytest.raises(
+        IncompatibleError, match="grid: a charge for the peak of a period has no steady state"
+    ):
         Subject(problem)
 
 

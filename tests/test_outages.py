@@ -154,7 +154,9 @@ def test_a_piecewise_cost_of_a_unit_that_is_out_is_nothing() -> None:
 
 
 def test_what_solves_refuse() -> None:
-    with pytest.raises(ModelError, match=r"outages: 'abc': no branch, generator, .* in service .* 'a"):
+    with pytest.raises(
+        ModelError, match=r"outages: 'abc': no branch, dc_line, generator, .* in service .* 'a"
+    ):
         problem(["abc"])
     with pytest.raises(ModelError, match="outages = 'ab': must be a list of names"):
         problem("ab")

@@ -61,6 +61,7 @@ def test_fields_that_may_be_unlimited() -> None:
     assert found == {
         "branch.rating",
         "storage.rating",
+        "renewable.rating",
         "generator.ramp",
         "generator.q_min",
         "generator.q_max",

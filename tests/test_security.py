@@ -705,7 +705,10 @@ def test_what_security_cannot_do_is_refused() -> None:
     ("stated", "message"),
     [
         ({"contingencies": "branches"}, "contingencies = 'branches': must be 'all' or lists of names"),
-        ({"contingencies": ["ab"]}, "must be 'all' or lists of names by branches, generators, storages"),
+        (
+            {"contingencies": ["ab"]},
+            "must be 'all' or lists of names by branches, dc_lines, generators, renewables, storages",
+        ),
         ({"contingencies": {"branches": "ab"}}, "branches: 'ab': must be a list of names"),
         ({"contingencies": {"branches": [1]}}, "branches: .*: must be a list of names"),
         ({"response": "brave"}, "response = 'brave': must be corrective or preventive"),

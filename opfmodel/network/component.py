@@ -355,6 +355,11 @@ class Component:
         if of is not None and of.form == "number":
             value = getattr(component, field)
             return INF if value is None else float(value)  # None is "no limit"
+        if of is not None and of.form == "adjustable":
+            value = getattr(component, field if field in known else stem)
+            if field in known or not is_adjustable(value):
+                return component.neutral(field if field in known else stem)
+            return float(value[end == "max"])
         if of is not None and of.form == "span":
             pair = getattr(component, stem)
             return float(pair[end == "max"] if isinstance(pair, tuple) else (pair if end == "max" else -pair))

@@ -12,6 +12,8 @@ from opfmodel.network.components import DCLine
 
 __all__ = ["DCLines"]
 
+_LEAST = 1e-6
+
 
 class DCLines(Equipment):
     """Limits of active and reactive power, and the loss between the ends."""
@@ -44,7 +46,8 @@ class DCLines(Equipment):
         wasted = pf + pt - least
         most = np.where(both > 0, (share + backward) * both, 0.0)
         checker.note("DC line loss", lines.names, np.maximum(-wasted, wasted - most), "MW")
-        overlap = np.divide(wasted, share + backward, out=np.zeros_like(wasted), where=both > 0)
+        told = (both > 0) & (share > _LEAST)  # below it the waste is rounding
+        overlap = np.divide(wasted, share + backward, out=np.zeros_like(wasted), where=told)
         known = checker.report.simultaneous
         checker.report.simultaneous = max(known, float(np.fmax.reduce(overlap, axis=None)) / checker.base)
         if checker.has("dc_line_loss"):

@@ -57,7 +57,8 @@ class Storages(Equipment):
         excess = np.where(lossy, stored - most, np.abs(stored - ps))
         checker.note("storage dynamics", units.names, excess, "MW")
         wasted = np.divide(most - stored, drain - gain, out=np.zeros_like(ps), where=lossy).max(axis=1)
-        checker.report.simultaneous = float(np.fmax.reduce(wasted, initial=0.0)) / checker.base
+        most_wasted = float(np.fmax.reduce(wasted, initial=0.0)) / checker.base
+        checker.report.simultaneous = max(checker.report.simultaneous, most_wasted)
 
     def _outside(self, e_next: Array) -> Array:
         """Distance of the energy from its range at the end of each stage, MWh; negative within it."""
