@@ -61,7 +61,7 @@ def sound(network: om.Network, data: Any, **options: Any) -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(
-    loss=st.floats(0, 0.7),
+    loss=st.just(0.0) | st.floats(1e-3, 0.7),
     fixed=st.floats(0, 3),
     cost=st.floats(0, 40),
     most=st.floats(1, 80),
@@ -77,7 +77,7 @@ def test_a_line_is_full_if_it_pays_and_idle_if_not(
     sent = most / (1 - loss) if back else most
     arrives = (1 - loss) * sent
     gain = 50 * arrives - 20 * sent - cost * most
-    assume(abs(gain) > 1e-2)
+    assume(abs(gain) > 0.5 * most)  # near it a solver stops between both
     plan = om.MultiStage(grid, formulation="copperplate").solve()
     (pf,), (pt,) = flows(plan)
     full = 1.0 if gain > 0 else 0.0
