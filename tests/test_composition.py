@@ -184,3 +184,11 @@ def test_an_elastic_plan_of_a_shortage_names_what_is_lacking() -> None:
     plan = om.MultiStage(grid, 2, elastic=om.Elastic()).solve()
     assert plan.optimal
     assert any("lacks" in str(shortage) for shortage in plan.shortages)
+
+
+def test_figures_of_buses_show_what_is_connected() -> None:
+    from opfmodel.results.figures import buses
+
+    labels = " ".join(axis.get_ylabel() for axis in buses(planned("dc").data).axes)
+    for word in ("generation", "renewables", "import", "storage power", "flexible demand", "angle"):
+        assert word in labels

@@ -101,7 +101,7 @@ def demand(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
 
 
 def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
-    """Plot generation, storage power, voltage, angle and stored energy at some buses.
+    """Plot generation, imports, storages, flexible demand, voltage, angle and stored energy at some buses.
 
     Reactive power is dashed; all other quantities are solid.
     """
@@ -109,7 +109,9 @@ def buses(data: xr.Dataset, names: Sequence[str] | None = None) -> Figure:
     panels = [
         ("generator", ("pg", "qg"), "generation\n[MW], [MVAr]"),
         ("renewable", ("renewable_p", "renewable_q"), "renewables\n[MW], [MVAr]"),
+        ("connection", ("connection_p", "connection_q"), "import\n[MW], [MVAr]"),
         ("storage", ("ps", "qs"), "storage power\n[MW], [MVAr]"),
+        ("flexible_load", ("flexible_load_p", "flexible_load_q"), "flexible demand\n[MW], [MVAr]"),
         ("bus", ("vm",), "voltage [p.u.]"),
         ("bus", ("va",), "angle [deg]"),
         ("storage", ("e", "e_next"), "energy [MWh]"),
