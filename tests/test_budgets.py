@@ -18,6 +18,7 @@ from opfmodel.check import check
 from opfmodel.data.calendar import Calendar
 from opfmodel.errors import CaseWarning, ComponentError, IncompatibleError, ScenarioError
 from opfmodel.forecasts.noisy import Noisy
+from opfmodel.scenario.rehearsal import rehearse
 from opfmodel.simulation import Controller, NominalPlant, Plant, simulate
 
 HOURS = np.arange(48)
@@ -290,7 +291,7 @@ def test_outages_that_have_not_happened_use_nothing() -> None:
         ("uses", {}, "cap: uses = {}: must name at least one component"),
         ("uses", {"coal": "x"}, "cap: uses"),
         ("uses", {"cell": -1}, "cap: uses.cell = -1: must be at least 0 for a storage"),
-        ("uses", {"town": 1}, "cap: uses.town = 1: no generator or connection or storage"),
+        ("uses", {"town": 1}, "cap: uses.town = 1: no generator, connection, storage, branch or shunt"),
         ("hours", 0, "cap: hours = 0: must be greater than 0"),
         ("left", -2, "cap: left = -2: must be at least 0"),
         ("over_cost", -2, "cap: over_cost = -2: must be at least 0"),
@@ -410,3 +411,31 @@ def test_overspending_where_a_period_ends_within_a_stage(time: int) -> None:
     data = plan.data
     data["budget_over"][:] = 0.0
     assert check(grid, data, first=time).violations["budget"].value > 0.1
+
+
+def test_errors_in_a_scenario_name_the_line_of_the_field(tmp_path: Path) -> None:
+    text = """
+network:
+  buses: {here: {}}
+  generators: {coal: {bus: here, p: [0, 50], cost: {c1: 20}}}
+  loads: {town: {bus: here, p: 20}}
+  budgets:
+    co2: {amount: 30, uses: {coal: 1}, hours: 1.5}
+time: {steps: 2}
+controller: {horizon: 2, formulation: dc}
+"""
+    for old, new, place in (
+        (
+            "hours: 1.5",
+            "hours: 1.5",
+            r":7:40: network\.budgets\.co2\.hours: co2: hours = 1\.5: must be a multiple",
+        ),
+        (
+            "{coal: 1}",
+            "{coke: 1}",
+            r":7:30: network\.budgets\.co2\.uses\.coke: 1: no generator, .* or shunt has this name; available: coal",
+        ),
+    ):
+        (tmp_path / "budget.yaml").write_text(text.replace(old, new))
+        with pytest.raises(om.OpfmodelError, match=place):
+            rehearse(om.load_scenario(tmp_path / "budget.yaml"))

@@ -305,6 +305,7 @@ def test_trees_and_uneven_stages_count_moves_along_their_paths() -> None:
         (lambda: om.Branch("a", "b", r=0, x=1, tap_steps=3), "x: tap_steps = 3: tap = 1.0 is constant"),
         (lambda: om.Branch("a", "b", r=0, x=1, tap=(0.9, 1.1), tap_steps=2.5), "tap_steps = 2.5: .*whole"),
         (lambda: om.Branch("a", "b", r=0, x=1, tap=(0.9, 1.1), move_cost=1), "move_cost = 1: needs tap_steps"),
+        (lambda: om.Branch("a", "b", r=0, x=1, move_cost=1), "move_cost = 1: needs tap_steps or shift_steps"),
         (lambda: om.Shunt("a", b=(0, 1), steps=0), "steps = 0: must be at least 1"),
         (lambda: om.Shunt("a", b=(0, 1, 2)), "b = .*must be a pair"),
     ],

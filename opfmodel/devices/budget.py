@@ -187,12 +187,19 @@ def _check(table: Table, horizon: Horizon) -> None:
     for name, (hours,) in zip(table.names, table.hours, strict=True):
         if abs(hours / horizon.base - round(hours / horizon.base)) > _SAME:
             raise IncompatibleError(
-                f"{name}: hours = {hours:g}: must be a multiple of the step of {horizon.base:g} h"
+                f"{name}: hours = {hours:g}: must be a multiple of the step of {horizon.base:g} h",
+                *_at(name, "hours"),
             )
         if hours < longest * (1.0 - _SAME):
             raise IncompatibleError(
-                f"{name}: hours = {hours:g}: must be at least the longest stage, {longest:g} h"
+                f"{name}: hours = {hours:g}: must be at least the longest stage, {longest:g} h",
+                *_at(name, "hours"),
             )
+
+
+def _at(budget: str, field: str) -> tuple[str, ...]:
+    """Return the key of a field in a scenario file."""
+    return "network", Budget.plural, budget, field
 
 
 def _refill(table: Table) -> Array:
@@ -223,7 +230,8 @@ def _check_moves(model: Model, table: Table) -> None:
             if not np.isfinite(units.move_cost[unit, 0]):
                 raise IncompatibleError(
                     f"{table.names[budget]}: uses.{units.names[unit]}: the moves of this {counted.kind} are "
-                    "not counted; state its move_cost, 0 if moves cost nothing"
+                    "not counted; state its move_cost, 0 if moves cost nothing",
+                    *_at(table.names[budget], "uses"),
                 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from opfmodel.model import Device, Model, Stage
+from opfmodel.model import Device, Model, Stage, declare_peak
 from opfmodel.network.arrays import Table
 from opfmodel.network.components import Connection
 from solvers import largest, total
@@ -44,8 +44,8 @@ class ConnectionDevice(Device):
         model.inject(table.bus, p=p, q=q)
         if table.peak_cost.any() or ("connection", "peak_cost") in model.series:
             kept = model.field("connection", "kept")
-            model.peak(
-                "connection", _PEAK, p, kept, unit="MW", initial="peak", description="peak of imports"
+            declare_peak(
+                model, "connection", _PEAK, p, kept, unit="MW", initial="peak", description="peak of imports"
             )  # fmt: skip
 
     def cost(self, stage: Stage) -> Any:

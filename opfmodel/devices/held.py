@@ -15,12 +15,10 @@ from opfmodel.network.components import DCLine, FlexibleLoad, Generator, Load, R
 from opfmodel.network.shares import WIDE, divide
 
 __all__ = [
-    "HeldDCLines",
     "HeldFlexibleLoads",
     "HeldGenerators",
-    "HeldLoads",
-    "HeldRenewables",
     "HeldStorages",
+    "held_devices",
     "without_limits",
 ]
 
@@ -135,6 +133,13 @@ class HeldDCLines(Device):
         for (name, description), value, unit in zip(DESCRIBED.items(), values, units, strict=True):
             model.publish("dc_line", name, value, unit=unit, description=description)
         DCLineDevice.connect(model, table, (forward, backward), (qf, qt))
+
+
+def held_devices(network: PerUnitNetwork, generators: HeldGenerators) -> list[Device]:
+    """Return the devices of a power flow: generators, and all other kinds in service at their set-points."""
+    others = (HeldStorages, HeldLoads, HeldRenewables, HeldFlexibleLoads, HeldDCLines)
+    present = [held() for held in others if len(network.tables[held.component.kind])]
+    return [generators, *present]
 
 
 def _left(model: Model, what: str, shares: Array, group: Index) -> Any:

@@ -84,8 +84,9 @@ class StorageDevice(Device):
             first, longest = gone[0], float(np.max(step))
             raise IncompatibleError(
                 f"{table.names[first]}: standing_loss = {table.standing_loss[first, 0]:g}: loses more than "
-                f"is stored in a stage of {longest:g} h; must be at most {1.0 / longest:g} per hour"
-            )
+                f"is stored in a stage of {longest:g} h; must be at most {1.0 / longest:g} per hour",
+                "network", "storages", table.names[first], "standing_loss",
+            )  # fmt: skip
         change = e_next - kept * e
         lossy = table.charge_efficiency * table.discharge_efficiency < 1.0
         dynamics = model.build.rows("e_dynamics", n, model.stages)

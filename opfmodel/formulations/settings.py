@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from opfmodel.model import Model, Stage
+from opfmodel.model import Model, Stage, declare_setting
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from opfmodel.network.physics import branch_flow, through_transformer
 from solvers import Expression, stacked, total
@@ -56,7 +56,7 @@ def _ratio(model: Model) -> Expression | None:
     if not adjustable(branch, "tap").any():
         return None
     about = "transformer ratio"
-    return model.setting("branch", "tap", "tap", branch.tap_steps, unit="", description=about)
+    return declare_setting(model, "branch", "tap", "tap", branch.tap_steps, unit="", description=about)
 
 
 def phase_shift(model: Model) -> Expression | None:
@@ -65,7 +65,9 @@ def phase_shift(model: Model) -> Expression | None:
     if not adjustable(branch, "shift").any():
         return None
     about = "phase shift of the transformer"
-    return model.setting("branch", "shift", "shift", branch.shift_steps, unit="deg", description=about)
+    return declare_setting(
+        model, "branch", "shift", "shift", branch.shift_steps, unit="deg", description=about
+    )
 
 
 def behind_transformers(model: Model, w: Expression) -> tuple[Expression, Terminals]:
@@ -184,7 +186,7 @@ def switched_shunts(model: Model) -> Expression | None:
     if not adjustable(shunt, "b").any():
         return None
     about = "susceptance of the shunt, as reactive power injected at 1 p.u. voltage"
-    return model.setting("shunt", "shunt_b", "b", shunt.steps + 1.0, unit="MVAr", description=about)
+    return declare_setting(model, "shunt", "shunt_b", "b", shunt.steps + 1.0, unit="MVAr", description=about)
 
 
 def cost_of_moves(stage: Stage) -> Any:

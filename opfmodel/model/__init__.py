@@ -10,6 +10,8 @@ from opfmodel.model.declared import Bound, BoundSource, Injection, Price, Publis
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Shortage, Side, Slack, Soft
 from opfmodel.model.model import Model
+from opfmodel.model.peak import declare_peak
+from opfmodel.model.setting import Setting, declare_setting
 from opfmodel.model.stage import NumericStage, Quantities, Stage
 from solvers import largest, total
 
@@ -27,12 +29,15 @@ __all__ = [
     "Price",
     "Published",
     "Quantities",
+    "Setting",
     "Shortage",
     "Side",
     "Slack",
     "Soft",
     "Stage",
     "State",
+    "declare_peak",
+    "declare_setting",
     "largest",
     "total",
 ]

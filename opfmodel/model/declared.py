@@ -13,7 +13,7 @@ from opfmodel.horizon import Horizon
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from solvers import Expression, Solution
 
-__all__ = ["Bound", "BoundSource", "Injection", "Price", "Published", "Setting", "State", "resolved"]
+__all__ = ["Bound", "BoundSource", "Injection", "Price", "Published", "State", "resolved"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -111,7 +111,7 @@ class State:
     capacity
         Upper limit of a stock without what may exceed it, of which terminal conditions state a share.
     peak
-        Whether it is the maximum of a quantity so far; see :meth:`Model.peak`.
+        Whether it is the maximum of a quantity so far; see :func:`opfmodel.model.peak.declare_peak`.
     """
 
     name: str
@@ -124,42 +124,6 @@ class State:
     ends: bool = False
     capacity: Bound = np.inf
     peak: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """An adjustable quantity of the network, which contingencies leave as it was.
-
-    Attributes
-    ----------
-    neutral, low, high
-        Value nearest to the default, and range, ``(items, 1)`` per unit.
-    positions
-        Number of equidistant positions of each item, ``(items, 1)``, infinite if it takes any value.
-    """
-
-    kind: str
-    name: str
-    neutral: Array
-    low: Array
-    high: Array
-    positions: Array
-
-    @property
-    def stepped(self) -> npt.NDArray[np.bool_]:
-        """Which items have positions, ``(items, 1)``."""
-        return np.isfinite(self.positions) & (self.low < self.high)
-
-    @property
-    def size(self) -> Array:
-        """Distance between two positions, ``(items, 1)``; 1 without positions."""
-        gaps = np.where(self.stepped, self.positions - 1.0, 1.0)
-        return np.asarray(np.where(self.stepped, (self.high - self.low) / gaps, 1.0))
-
-    def rounded(self, values: Array) -> Array:
-        """Return the positions nearest to some values; NaN for items without positions."""
-        nearest = self.low + self.size * np.rint((values - self.low) / self.size)
-        return np.where(self.stepped, nearest, np.nan)
 
 
 @dataclass(frozen=True)

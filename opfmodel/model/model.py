@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -18,12 +17,12 @@ from opfmodel.model.declared import (
     Injection,
     Price,
     Published,
-    Setting,
     State,
     resolved,
 )
 from opfmodel.model.device import Device
 from opfmodel.model.elastic import Elastic, Side, Slack, Soft
+from opfmodel.model.setting import Setting
 from opfmodel.model.stage import Costed, Quantities, RegularStage, per_node, sum_of_costs
 from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.components import BUILT_IN
@@ -98,7 +97,7 @@ class Model:
     slacks
         Slack variables of soft limits, by name; empty unless elastic.
     settings
-        Adjustable quantities of the network, by name; see :meth:`setting`.
+        Adjustable quantities of the network, by name; see :func:`opfmodel.model.setting.declare_setting`.
     costed
         The formulation and the devices, which have operating costs.
     shares
@@ -336,56 +335,6 @@ class Model:
 
         return read
 
-    def setting(
-        self, kind: str, name: str, field: str, positions: Array, *, unit: str, description: str
-    ) -> Expression:
-        """Declare an adjustable quantity of the network, which contingencies leave as it was.
-
-        Components with a ``move_cost`` have the positions by which it moves in each stage counted as
-        ``name_moves``; the first stage moves from the position applied last.
-
-        Parameters
-        ----------
-        field
-            Adjustable field with its range.
-        positions
-            Number of positions of each item, ``(items, 1)``, infinite if it takes any value.
-        """
-        horizon, table = self.horizon, self.network.tables[kind]
-        low, high = table.arrays[f"{field}_min"], table.arrays[f"{field}_max"]
-        values = self.variable(
-            kind, name, f"{field}_min", f"{field}_max",
-            unit=unit, start=table.arrays[field], nodes=np.arange(len(horizon.regular)), publish=False,
-        )  # fmt: skip
-        chosen = values[:, horizon.owner] if horizon.contingencies.size else values
-        self.publish(kind, name, chosen, unit=unit, description=description)
-        setting = self.settings[name] = Setting(kind, name, table.arrays[field], low, high, positions)
-        counted = np.flatnonzero(setting.stepped & np.isfinite(table.move_cost))
-        rows = self._count_moves(setting, values, counted) if counted.size else ()
-        self.states[name] = State(name, kind, unit, "setting", ramped=counted, first=rows)
-        return chosen
-
-    def _count_moves(self, setting: Setting, values: Expression, counted: Index) -> tuple[str, ...]:
-        """Count the positions by which items of a setting move; return the rows of the first stage."""
-        kind, name, horizon = setting.kind, setting.name, self.horizon.regular
-        most = np.zeros((values.items, 1))
-        most[counted] = np.inf
-        moves = self.variable(
-            kind, f"{name}_moves", 0.0, most,
-            unit="", start=0.0, nodes=np.arange(len(horizon)), description=f"positions by which {name} moves",
-        )[counted]  # fmt: skip
-        at, size = values[counted], setting.size[counted]
-        before = self.build.parameter(f"{name}_previous", counted.size)
-        change = {"first": (at[:, self.starts] - before, self.starts)}
-        if horizon.inner.size:
-            earlier = horizon.parent[horizon.inner]
-            change["later"] = at[:, horizon.inner] - at[:, earlier], horizon.inner
-        for when, (moved, nodes) in change.items():
-            for way, sign in (("up", 1.0), ("down", -1.0)):
-                distance = (sign / size) * moved - moves[:, nodes]
-                self.rows(kind, f"{name}_{way}_{when}", distance, -np.inf, 0.0, nodes=nodes)
-        return f"{name}_up_first", f"{name}_down_first"
-
     def stock(
         self,
         kind: str,
@@ -430,54 +379,6 @@ class Model:
         self.states[name] = State(name, kind, unit, "stock", initial, ends=ends, capacity=most)
         if ends:
             self._end(kind, name, values, self.leaves(end))
-        return start, end
-
-    def peak(
-        self,
-        kind: str,
-        name: str,
-        values: Expression,
-        kept: Any,
-        *,
-        unit: str,
-        description: str = "",
-        initial: str | None = None,
-    ) -> tuple[Expression, Expression]:
-        r"""Declare the maximum of a quantity so far as a stock, in every stage but contingencies.
-
-        .. math::
-            m(k + 1) \ge kept(k)\, m(k), \quad m(k + 1) \ge x(k)
-
-        Plans report the smallest such values. A solver may leave them larger, because a cost of the increase
-        adds up to that of the final value, whenever it increases.
-
-        Parameters
-        ----------
-        values
-            The quantity :math:`x`.
-        kept
-            1, or 0 in a stage in which the maximum is counted anew.
-        initial
-            Field with the default initial value.
-
-        Returns
-        -------
-        Expression, Expression
-            The values at the start and at the end of each stage.
-        """
-        start, end = self.stock(
-            kind, name, -np.inf, np.inf, unit=unit, description=description, initial=initial, ends=False
-        )
-        self.states[name] = replace(self.states[name], peak=True)
-        regular, after = np.arange(len(self.horizon.regular)), self.horizon.contingencies
-        above = end - kept * start
-        self.rows(kind, f"{name}_kept", above[:, regular], 0.0, np.inf, nodes=regular)
-        self.rows(kind, f"{name}_met", (end - values)[:, regular], 0.0, np.inf, nodes=regular)
-        if after.size:
-            self.rows(kind, f"{name}_after", (end - start)[:, after], 0.0, 0.0, nodes=after)
-        zero = np.zeros((end.items, self.stages))
-        self.build.output(f"{name} kept", self.build.expression(kept + zero))
-        self.build.output(f"{name} met", values + zero)
         return start, end
 
     def _end(self, kind: str, name: str, values: Expression, last: Expression) -> None:

@@ -366,7 +366,8 @@ def _errors_of_weights(network: Network) -> Iterator[ComponentError]:
             known = [other for other in network if network[other].kind in of]
             for member, weight in getattr(component, key).items():
                 if member not in known:
-                    rule = f"no {' or '.join(of)} has this name; {nearest(member, known)}"
+                    kinds = " or ".join(filter(None, (", ".join(of[:-1]), of[-1])))
+                    rule = f"no {kinds} has this name; {nearest(member, known)}"
                     yield ComponentError(name, f"{key}.{member}", weight, rule)
                 elif weight < 0 and network[member].kind in component.fields()[key].metadata["positive"]:
                     rule = f"must be at least 0 for a {network[member].kind}"

@@ -18,7 +18,6 @@ __all__ = [
     "TableField",
     "adjustable",
     "at_bus",
-    "check_positions",
     "choice",
     "cost_of",
     "flag",
@@ -333,26 +332,6 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
 def is_adjustable(value: object) -> TypeGuard[tuple[float, float]]:
     """Whether the value of an adjustable field is a range."""
     return isinstance(value, Sequence) and not isinstance(value, str)
-
-
-def check_positions(
-    name: str, key: str, value: object, stated: str, steps: float | None, move_cost: float | None
-) -> None:
-    """Raise :class:`ComponentError` unless the positions of an adjustable field, and its moves, are defined.
-
-    Parameters
-    ----------
-    stated
-        Name of the field that holds the number of positions or steps.
-    """
-    if steps is not None and steps != int(steps):
-        raise ComponentError(name, stated, steps, "must be a whole number")
-    if steps is not None and not is_adjustable(value):
-        raise ComponentError(
-            name, stated, steps, f"{key} = {value!r} is constant; must be a range (min, max)"
-        )
-    if is_adjustable(value) and move_cost is not None and steps is None:
-        raise ComponentError(name, "move_cost", move_cost, f"needs {stated}, the positions that are counted")
 
 
 def type_of_adjustable(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:

@@ -9,28 +9,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import ProfileError, nearest, raise_all
-from opfmodel.network.arrays import Index, PerUnitNetwork, Table
+from opfmodel.network.arrays import PerUnitNetwork, Table
 from opfmodel.network.bounds import LARGEST
 from opfmodel.network.component import Component
 from opfmodel.network.network import Network
 from opfmodel.network.units import scale
 
 __all__ = [
-    "at_start",
-    "check_clocked",
     "check_finite",
     "check_series",
-    "clocked",
-    "clocked_fields",
     "faults_of_keys",
     "fields_with_series",
-    "governed",
-    "governed_fields",
-    "governing",
-    "widest",
+    "over_all_steps",
     "window",
 ]
 
@@ -153,12 +145,10 @@ def fields_with_series(profiles: Profiles, network: PerUnitNetwork) -> set[tuple
     return {(placed.kind, placed.field) for placed in _placed(profiles, network)}
 
 
-def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
-    """Loosest limits over all steps, per unit ``(items, 1)`` by ``(kind, field)``.
+def over_all_steps(profiles: Profiles, network: PerUnitNetwork) -> Fields:
+    """Loosest values of the series of limits, per unit ``(items, 1)`` by ``(kind, field)``.
 
-    Programs are built with these limits, so that they contain a row for everything that is limited in
-    any step, and no bound that is too tight in another step. Steps in which a limit is infinite are
-    disregarded if other steps have a finite limit.
+    Steps in which a limit is infinite are disregarded if other steps have a finite limit.
     """
     out: Fields = {}
     for _, kind, field, position, values in _placed(profiles, network):
@@ -171,7 +161,7 @@ def widest(profiles: Profiles, network: PerUnitNetwork) -> Fields:
         own = own[np.isfinite(own)]
         if own.size:
             limits[position] = own.min() if field.endswith("_min") else own.max()
-    return _loosened(out, profiles, network)
+    return out
 
 
 def window(
@@ -205,122 +195,6 @@ def window(
             out[kind, field] = np.repeat(table.arrays[field], stages, axis=1)
         factor = scale(table.units[field], network.base_mva)
         out[kind, field][position] = values[steps % len(values)] / factor
-    return out
-
-
-def clocked(network: Network, arrays: PerUnitNetwork, times: Times) -> Fields:
-    """Quantities that follow from the clock, per unit ``(items, steps)`` by ``(kind, field)``."""
-    out: Fields = {}
-    for kind, field in clocked_fields(arrays):
-        table = arrays.tables[kind]
-        values = [network[name].resolved().at_clock(times)[field] for name in table.names]
-        out[kind, field] = np.array(values) / scale(table.units[field], arrays.base_mva)
-    return out
-
-
-def check_clocked(
-    network: Network, arrays: PerUnitNetwork, times: Times, lengths: npt.NDArray[np.intp]
-) -> None:
-    """Raise :class:`IncompatibleError` if stages cannot represent what follows from the clock.
-
-    Parameters
-    ----------
-    times, lengths
-        The beginning of each stage, and its number of steps.
-    """
-    for table in arrays.tables.values():
-        for name in table.names if table.kind.clocked else ():
-            network[name].resolved().check_clock(name, times, lengths)
-
-
-def clocked_fields(arrays: PerUnitNetwork) -> list[tuple[str, str]]:
-    """``(kind, field)`` pairs of the quantities that follow from the clock, of components in service."""
-    return [
-        (kind, field)
-        for kind, table in arrays.tables.items()
-        for field, clocked in table.kind.clocked.items()
-        if len(table) and (clocked.of is None or np.isfinite(table.arrays[clocked.of]).any())
-    ]
-
-
-def governing(profiles: Profiles, network: PerUnitNetwork) -> dict[str, tuple[str, ...]]:
-    """Fields that govern others, by kind, unless they have their default in all components at all times."""
-    changing, made = fields_with_series(profiles, network), {}
-    for kind, table in network.tables.items():
-        default = {field: table.kind.fields()[field].default for field in table.kind.governs}
-        if any((kind, f) in changing or (table.arrays[f] != value).any() for f, value in default.items()):
-            made[kind] = tuple(default)
-    return made
-
-
-def governed_fields(profiles: Profiles, network: PerUnitNetwork) -> set[tuple[str, str]]:
-    """``(kind, field)`` pairs that depend on others in each stage, so that they are like time series."""
-    return {
-        (kind, quantity)
-        for kind, fields in governing(profiles, network).items()
-        for field in fields
-        for quantity in network.tables[kind].kind.governs[field]
-        if network.tables[kind].arrays[quantity].size
-    }
-
-
-def governed(
-    series: Fields,
-    profiles: Profiles,
-    network: PerUnitNetwork,
-    parent: Index,
-    lengths: Array,
-    before: Fields,
-) -> Fields:
-    """Series with the quantities that depend on others in each stage, ``(items, nodes)``.
-
-    Parameters
-    ----------
-    series
-        Fields at the nodes of a horizon.
-    parent, lengths
-        Node before each, -1 for none, and hours of each.
-    before
-        The same fields in the step before the first nodes; what is missing or NaN was as in these.
-    """
-    made = dict(series)
-    for kind, fields in governing(profiles, network).items():
-        table = network.tables[kind]
-        arrays = {**table.arrays, **{field: values for (of, field), values in series.items() if of == kind}}
-        known = {}
-        for field in fields:
-            arrays[field] = now = np.broadcast_to(arrays[field], (len(table), parent.size))
-            first = before.get((kind, field), now)
-            known[field] = np.where(parent >= 0, now[:, parent], np.where(np.isnan(first), now, first))
-        hours = np.where(parent >= 0, 0.5 * (lengths + lengths[parent]), lengths)
-        of_kind = table.kind.in_stages(arrays, known, hours)
-        made |= {(kind, field): values for field, values in of_kind.items() if values.size}
-    return made
-
-
-def at_start(network: PerUnitNetwork) -> Fields:
-    """Fields that govern others before step 0, ``(items, 1)``; NaN where they are not known."""
-    return {
-        (kind, field): values
-        for kind, table in network.tables.items()
-        for field, values in table.kind.at_start(table.arrays).items()
-    }
-
-
-def _loosened(limits: Fields, profiles: Profiles, network: PerUnitNetwork) -> Fields:
-    """Limits with the loosest that follow from any value of the fields that govern them."""
-    out = dict(limits)
-    for kind, fields in governing(profiles, network).items():
-        table = network.tables[kind]
-        own = {**table.arrays, **{field: values for (of, field), values in limits.items() if of == kind}}
-        for field in fields:
-            rules = table.kind.fields()[field].metadata
-            for value in (rules["at_least"], rules["at_most"]):
-                at = np.full((len(table), 1), value)
-                for key, values in table.kind.in_stages({**own, field: at}, {field: at}, np.ones(1)).items():
-                    if key.endswith(("_min", "_max")):
-                        loosest = np.minimum if key.endswith("_min") else np.maximum
-                        out[kind, key] = loosest(out.get((kind, key), own[key]), values)
     return out
 
 

@@ -15,7 +15,8 @@ from opfmodel.data.series import Profiles, SeriesKey
 from opfmodel.errors import IncompatibleError, ModelError, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.network.bounds import integer, number_within
-from opfmodel.network.series import at_start, fields_with_series, governed, window
+from opfmodel.network.governed import at_start, governed
+from opfmodel.network.series import fields_with_series, window
 from opfmodel.plan.commitment_program import UnitProgram, Units
 from opfmodel.plan.multistage import MultiStage
 from opfmodel.plan.nodes import over_nodes

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from opfmodel.errors import IncompatibleError, ModelError, QuantityError, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Model
-from opfmodel.network.series import clocked_fields, fields_with_series, governed_fields, widest
+from opfmodel.network.clock import clocked_fields
+from opfmodel.network.governed import governed_fields, widest
+from opfmodel.network.series import fields_with_series
 from opfmodel.plan.outages import lost_fields, status_at
 from opfmodel.plan.parts import absent_devices, publishing
 from opfmodel.plan.result import penalty_outputs

@@ -24,8 +24,10 @@ from opfmodel.horizon import Horizon
 from opfmodel.model import CustomConstraint, Device, Elastic, Model, Price, Published, Stage
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
+from opfmodel.network.clock import check_clocked, clocked
+from opfmodel.network.governed import at_start, governed, governing
 from opfmodel.network.network import Network
-from opfmodel.network.series import at_start, check_clocked, check_series, clocked, governed, window
+from opfmodel.network.series import check_series, window
 from opfmodel.objectives.base import Objective
 from opfmodel.objectives.economic import Economic
 from opfmodel.plan.compiled import Compiled, compiled, declared
@@ -102,8 +104,8 @@ class MultiStage:
     security
         Outages that every stage must survive; see :class:`Security`. None by default.
     outages
-        Names of the branches, generators, storages and DC lines that a solve may take as out of service;
-        see the argument ``out`` of :meth:`solve`.
+        Names of the branches, units and other components that a solve may take as out of service; see the
+        argument ``out`` of :meth:`solve`.
     devices
         Devices for kinds of components without a plugin, or to replace a plugin's.
     at_end
@@ -543,9 +545,15 @@ class MultiStage:
 
     def _governed(self, series: Fields, time: int, horizon: Horizon) -> Fields:
         """Return series at the nodes of a plan with the quantities that depend on others in each stage."""
+        if not self._governing:
+            return series
         repeats = self.at_end == "repeat"
         before = window(self.profiles, self.arrays, time - 1, 1, repeats) if time else at_start(self.arrays)
         return governed(series, self.profiles, self.arrays, horizon.parent, horizon.hours, before)
+
+    @cached_property
+    def _governing(self) -> bool:
+        return bool(governing(self.profiles, self.arrays))
 
     def expected(self, futures: Sequence[Profiles], horizon: Horizon | None = None, time: int = 0) -> Fields:
         """Return expected series at the nodes of the horizon, as :meth:`solve` takes them.

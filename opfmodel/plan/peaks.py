@@ -13,9 +13,10 @@ __all__ = ["with_least_peaks"]
 
 
 def with_least_peaks(model: Model, solution: Solution) -> Solution:
-    """Return the solution with the smallest maxima that satisfy their rows; see :meth:`Model.peak`.
+    """Return the solution with the smallest maxima that satisfy their rows.
 
-    Solvers leave them larger where they cost nothing, or where a later maximum costs the same.
+    Solvers leave them larger where they cost nothing, or where a later maximum costs the same; see
+    :func:`opfmodel.model.peak.declare_peak`.
     """
     peaks = [state.name for state in model.states.values() if state.peak]
     if not peaks:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.model.declared import Setting
+from opfmodel.model import Setting
 from opfmodel.network.components import Branch, Shunt
 from opfmodel.network.network import Network
 from opfmodel.plan.request import Request

@@ -9,19 +9,11 @@ import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
 from opfmodel.data.series import Profiles
-from opfmodel.devices.held import (
-    HeldDCLines,
-    HeldFlexibleLoads,
-    HeldGenerators,
-    HeldLoads,
-    HeldRenewables,
-    HeldStorages,
-    without_limits,
-)
+from opfmodel.devices.held import HeldGenerators, held_devices, without_limits
 from opfmodel.errors import ModelError
 from opfmodel.formulations.ac import AC
 from opfmodel.horizon import Horizon
-from opfmodel.model import Device, Model
+from opfmodel.model import Model
 from opfmodel.network.arrays import PerUnitNetwork, per_unit
 from opfmodel.network.bounds import integer, number_within
 from opfmodel.network.components import BUILT_IN, Budget, Connection, Reserve
@@ -151,15 +143,7 @@ class _Flow:
             reactive=True,
             zones=np.arange(len(points.network.bus)),
         )
-        devices: list[Device] = [
-            HeldGenerators(shares, points.regulates),
-            HeldStorages(),
-            HeldLoads(),
-            *([HeldRenewables()] if len(points.network.renewable) else []),
-            *([HeldFlexibleLoads()] if len(points.network.tables["flexible_load"]) else []),
-            HeldDCLines(),
-        ]
-        for device in devices:
+        for device in held_devices(points.network, HeldGenerators(shares, points.regulates)):
             model.connect(device)
         AC().declare(model)
         for name, published in model.published.items():

@@ -263,7 +263,7 @@ class Plan:
         if not self.optimal:
             raise ModelError(f"the plan from step {self.time} is {self.status}: it has no next state")
         out = {}
-        delayed = self.model.delay == 1
+        delayed, planned = self.model.delay == 1, self.quantities()
         after = np.flatnonzero(self.horizon.parent == 0)  # siblings share what is committed
         for state in self.model.states.values():
             name = f"{state.name}_next" if state.role == "stock" else state.name
@@ -271,7 +271,7 @@ class Plan:
             if happened is not None and not committed:
                 values = happened[state.kind, name]
             elif not committed or self.stages == 1 < self.problem.stages:
-                values = self.quantities()[state.kind, name][:, 0]
+                values = planned[state.kind, name][:, 0]
             elif not after.size:
                 raise IncompatibleError("generator_delay = 1: a receding horizon needs at least 2 stages")
             else:

@@ -56,8 +56,8 @@ class Security:
     ----------
     contingencies
         ``all``: every branch whose outage does not split the grid; or the names of components, or patterns
-        with stars, by ``branches``, ``generators``, ``storages`` and ``dc_lines``. Patterns leave out
-        branches whose outage splits the grid.
+        with stars, by the plural of their kind: ``branches``, ``generators``, ``dc_lines``, ... Patterns
+        leave out branches whose outage splits the grid.
     response
         ``corrective`` or ``preventive``.
     minutes

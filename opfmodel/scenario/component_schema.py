@@ -128,7 +128,7 @@ def add_components(network: Schema, kinds: list[type[Component]]) -> None:
     may_be_empty = {"type": ["object", "null"]}  # a null has no members to check
     for kind in kinds:
         network["properties"][kind.plural] = {
-            "description": f"{kind.plural} by name",
+            "description": f"{kind.plural.replace('_', ' ')} by name",
             **may_be_empty,
             "additionalProperties": {"$ref": f"#/$defs/{kind.kind}"},
         }

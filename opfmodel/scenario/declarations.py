@@ -91,7 +91,7 @@ class Declarations:
             for each in (error, *error.others):
                 assert isinstance(each, ComponentError)
                 key, fault = self._key(each.component), f"{shown(each.value)}: {each.rule}"
-                self.faults.add(self.document.fault((*key, each.field), fault, each))
+                self.faults.add(self.document.fault((*key, *each.field.split(".", 1)), fault, each))
                 self._stand_in(network, each.component, type(network[each.component]), {})
             with suppress(ComponentError):
                 per_unit(network)

@@ -63,7 +63,8 @@ def _compile(scenario: Scenario, problem: MultiStage) -> None:
     except SolverError as error:
         raise document.error(("controller", "solver"), str(error), error) from error
     except IncompatibleError as error:
-        raise document.error(planned, str(error), error) from error
+        place = error.key if error.key[:1] == ("network",) else planned  # of a component
+        raise document.error(place, str(error), error) from error
     except ModelError as error:
         raise document.error(("controller",), str(error), error) from error
 

@@ -119,8 +119,8 @@ def summarise(problem: MultiStage, steps: Sequence[Step]) -> dict[str, Any]:
     over = [
         step.values["budget", "budget_over"] for step in steps if ("budget", "budget_over") in step.values
     ]
-    if over:
-        names = problem.arrays.tables["budget"].names
+    names = problem.arrays.tables["budget"].names
+    if over and names:
         made["overspent_units"] = dict(zip(names, (np.sum(over, axis=0) * hours).tolist(), strict=True))
     seen = {name: (kind, name) for step in steps for kind, name in step.values}
     named = {name: key for name, key in seen.items() if name in DESCRIBED or name.endswith(_CURTAILED)}

@@ -8,7 +8,8 @@ from typing import ClassVar
 
 from opfmodel.errors import ComponentError
 from opfmodel.network.component import Component, component
-from opfmodel.network.fields import adjustable, at_bus, check_positions, in_service, number, span
+from opfmodel.network.components import positions
+from opfmodel.network.fields import adjustable, at_bus, in_service, number, span
 
 __all__ = ["Branch"]
 
@@ -73,31 +74,13 @@ class Branch(Component):
     b_to: float = number(
         "p.u. admittance", 0.0, series=False, description="Additional shunt susceptance at the to end."
     )
-    tap_steps: float | None = number(
-        "",
-        None,
-        at_least=2,
-        optional=True,
-        series=False,
-        description="Number of positions of an adjustable ratio, both ends included; none for any ratio.",
+    tap_steps: float | None = positions.steps(
+        2, "Number of positions of an adjustable ratio, both ends included; none for any ratio."
     )
-    shift_steps: float | None = number(
-        "",
-        None,
-        at_least=2,
-        optional=True,
-        series=False,
-        description="Number of positions of an adjustable phase shift, both ends included; none for any.",
+    shift_steps: float | None = positions.steps(
+        2, "Number of positions of an adjustable phase shift, both ends included; none for any."
     )
-    move_cost: float | None = number(
-        "$",
-        None,
-        at_least=0.0,
-        optional=True,
-        series=False,
-        description="Cost of each position by which tap or shift moves; none: moves are neither counted nor "
-        "priced.",
-    )
+    move_cost: float | None = positions.move_cost("tap or shift")
     in_service: bool = in_service()
 
     def check(self, name: str) -> None:
@@ -112,7 +95,4 @@ class Branch(Component):
             )
         if self.from_bus == self.to_bus:
             raise ComponentError(name, "to_bus", self.to_bus, "must differ from from_bus")
-        for key in ("tap", "shift"):
-            steps = f"{key}_steps"
-            cost = self.move_cost if self.tap_steps is self.shift_steps is None else None  # of one of them
-            check_positions(name, key, getattr(self, key), steps, getattr(self, steps), cost)
+        positions.check_positions(self, name, {"tap": "tap_steps", "shift": "shift_steps"})

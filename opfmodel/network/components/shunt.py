@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from opfmodel.network.component import Component, component
-from opfmodel.network.fields import adjustable, at_bus, check_positions, in_service, number
+from opfmodel.network.components import positions
+from opfmodel.network.fields import adjustable, at_bus, in_service, number
 
 __all__ = ["Shunt"]
 
@@ -24,25 +25,13 @@ class Shunt(Component):
         0.0,
         description="Reactive power injected at 1 p.u. voltage; a range if it is switchable.",
     )
-    steps: float | None = number(
-        "",
-        None,
-        at_least=1,
-        optional=True,
-        series=False,
-        description="Number of equal steps in which a switchable shunt is switched; none for any value.",
+    steps: float | None = positions.steps(
+        1, "Number of equal steps in which a switchable shunt is switched; none for any value."
     )
-    move_cost: float | None = number(
-        "$",
-        None,
-        at_least=0.0,
-        optional=True,
-        series=False,
-        description="Cost of each step that is switched; none: steps are neither counted nor priced.",
-    )
+    move_cost: float | None = positions.move_cost("b")
     in_service: bool = in_service()
 
     def check(self, name: str) -> None:
         """Raise :class:`ComponentError` if a field breaks a rule or the steps do not fit the range."""
         super().check(name)
-        check_positions(name, "b", self.b, "steps", self.steps, self.move_cost)
+        positions.check_positions(self, name, {"b": "steps"})

@@ -79,7 +79,8 @@ class ACPlant(Plant):
             for key, value in plan.quantities().items()
             if key[0] not in _NETWORK or key in moves
         }
-        wanted = _of_demand(_without(self.aims(plan, planned), network), plan, network)
+        wanted = self._left(self.aims(plan, planned), network)
+        wanted = _of_demand(wanted, plan, network)
         aims = _with_energy(wanted, planned, network, plan.problem.step)
         found = self.find(plan, aims, network)
         values = self._values(aims, found)
@@ -120,6 +121,15 @@ class ACPlant(Plant):
             found = self._own.solve_requested(given)
         self._last = found if found.optimal else None
         return found
+
+    def _left(self, aims: Values, network: PerUnitNetwork) -> Values:
+        """Return set-points that are zero where a component is out of service."""
+        made = dict(aims)
+        for key in made.keys() & self._set_points.prices.keys():
+            status = network.tables[key[0]].arrays.get("status", np.ones(1))
+            if not status.all():
+                made[key] = made[key] * status[:, 0]
+        return made
 
     def _settings(self, plan: Plan) -> dict[str, Array]:
         """Return the taps, phase shifts and shunts of a plan, or their neutral values if it decides none.
@@ -164,16 +174,6 @@ class ACPlant(Plant):
             low, high = (table.arrays[field][:, 0] for field in ("p_min", "p_max"))
             state["pg"] = np.clip(state["pg"], low * network.base_mva, high * network.base_mva)
         return state
-
-
-def _without(aims: Values, network: PerUnitNetwork) -> Values:
-    """Return set-points that are zero where a unit or storage is out of service."""
-    made = dict(aims)
-    for kind, name in ALWAYS:
-        status = network.tables[kind].status[:, 0]
-        if (kind, name) in made and not status.all():
-            made[kind, name] = made[kind, name] * status
-    return made
 
 
 def _of_demand(aims: Values, plan: Plan, network: PerUnitNetwork) -> Values:

@@ -9,8 +9,8 @@ import numpy as np
 from opfmodel.model import Elastic
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.bounds import number_within
+from opfmodel.network.governed import widest
 from opfmodel.network.quantities import In
-from opfmodel.network.series import widest
 from opfmodel.plan import End, MultiStage, Plan
 from opfmodel.simulation.plants.base import Array, Values
 from opfmodel.simulation.plants.problem import (
