@@ -58,6 +58,11 @@ class Template:
                 "outputs may use its variables and parameters only"
             )
 
+    def __reduce__(self) -> tuple[Any, tuple[str, str]]:
+        """Templates travel to other processes as CasADi functions; symbols cannot."""
+        whole = ca.Function("template", [self.variables, self.parameters], [self.outputs])
+        return _received, (self.name, whole.serialize())
+
     def __repr__(self) -> str:
         shape = f"{self.n_variables} variables, {self.n_parameters} parameters"
         return f"Template({self.name!r}: {shape} -> {self.n_outputs} outputs)"
@@ -144,6 +149,13 @@ class Template:
     def degree(self) -> Degree:
         """Largest degree among the outputs."""
         return max(self.degrees, default=Degree.CONSTANT)
+
+
+def _received(name: str, serialized: str) -> Template:
+    """Return a template with new symbols."""
+    whole = ca.Function.deserialize(serialized)
+    variables, parameters = (ca.SX.sym(key, whole.numel_in(i)) for i, key in enumerate(("v", "p")))
+    return Template(name, variables, parameters, whole(variables, parameters))
 
 
 def _degree(gradient: Any, variables: Any) -> Degree:

@@ -1332,7 +1332,7 @@ def test_ctrl_c_while_the_workers_start_leaves_nothing(seconds: float, folder: P
 
 
 def test_the_environment_of_workers_is_restored() -> None:
-    from opfmodel.study.cluster import _one_thread
+    from solvers.cluster import _one_thread
 
     before = dict(os.environ)
     with _one_thread():

@@ -21,6 +21,7 @@ from opfmodel.errors import StudyError
 from opfmodel.study.execution import Record, execute, failure
 from opfmodel.study.progress import Watcher
 from opfmodel.study.specification import Specification
+from solvers.errors import SolverError
 from solvers.interrupt import interruptible
 
 if TYPE_CHECKING:
@@ -78,10 +79,13 @@ def on_local_cluster(
     """
     from distributed import Client
 
-    from opfmodel.study.cluster import local_cluster
+    from solvers.cluster import local_cluster
 
-    with local_cluster(workers, memory) as cluster, Client(cluster) as client:
-        yield from _runs(client, specifications, watcher, patience=_SECONDS_IDLE)
+    try:
+        with local_cluster(workers, memory) as cluster, Client(cluster) as client:
+            yield from _runs(client, specifications, watcher, patience=_SECONDS_IDLE)
+    except SolverError as error:
+        raise StudyError(str(error)) from error
 
 
 def on_cluster(

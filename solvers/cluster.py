@@ -1,4 +1,4 @@
-"""A Dask cluster on this machine for one study.
+"""A Dask cluster on this machine, for one study or one solve.
 
 Connections require TLS keys that are generated for the cluster and exist only in the memory of its
 processes. It serves no web pages. Worker processes import this module.
@@ -20,7 +20,7 @@ from typing import Any
 import dask
 from distributed import Nanny, Scheduler, Security, SpecCluster, Worker
 
-from opfmodel.errors import StudyError
+from solvers.errors import SolverError
 from solvers.threads import THREAD_VARIABLES
 
 __all__ = ["DEATHS", "local_cluster"]
@@ -67,7 +67,7 @@ def local_cluster(workers: int, memory: str | None) -> Iterator[SpecCluster]:
 
     Raises
     ------
-    StudyError
+    SolverError
         A worker did not start.
     """
     folder = tempfile.TemporaryDirectory(prefix="opfmodel-", ignore_cleanup_errors=True)
@@ -111,7 +111,7 @@ def _started(**options: Any) -> SpecCluster:
                 starting.result().close()
             raise
         except (RuntimeError, OSError) as error:
-            raise StudyError(f"the workers could not be started: {_reason(error)}") from error
+            raise SolverError(f"the workers could not be started: {_reason(error)}") from error
 
 
 def _block_ctrl_c() -> None:

@@ -1,0 +1,1 @@
+"""Long programs, solved by overlapping windows in time."""

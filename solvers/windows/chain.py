@@ -1,0 +1,138 @@
+"""Windows that are solved one after another, each from where the one before it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from solvers.program import Array, Program
+from solvers.solution import Start
+from solvers.solve import Session, prepare
+from solvers.status import SolutionStatus, TerminationCondition
+from solvers.windows.piece import End, Piece
+
+__all__ = ["Chain", "Found", "Sessions"]
+
+
+class Sessions(dict[bytes, Session]):
+    """Compiled programs by structure, each compiled when it is first needed."""
+
+    def __init__(self, programs: Mapping[bytes, Program], solver: str, options: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._programs = programs
+        self._solver, self._options = solver, dict(options)
+
+    def __missing__(self, structure: bytes) -> Session:
+        self[structure] = prepare(self._programs[structure], self._solver, self._options)
+        return self[structure]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a window found in a sweep.
+
+    Attributes
+    ----------
+    x, lam_x, lam_g, z
+        Of its own stages.
+    price
+        Of the end of its own stages, by its own multipliers.
+    joint
+        Values of the variables in which its own stages touch those before.
+    """
+
+    termination: TerminationCondition
+    status: SolutionStatus
+    message: str
+    iterations: int
+    seconds: float
+    x: Array
+    lam_x: Array
+    lam_g: Array
+    z: Array
+    price: Array
+    joint: Array
+
+
+class Chain:
+    """Windows in their order; an actor of a worker.
+
+    Parameters
+    ----------
+    starts
+        Starting point of each window, where one is known.
+    """
+
+    def __init__(
+        self, sessions: Sessions, pieces: Sequence[Piece], starts: Sequence[Start | None] | None = None
+    ) -> None:
+        self._sessions = sessions
+        self._pieces = pieces
+        self._starts = list(starts or [None] * len(pieces))
+        self._last: _Last | None = None
+
+    def sweep(self, given: Array | None, ends: Sequence[End | None]) -> list[Found]:
+        """Solve the windows; stop at one that fails.
+
+        Parameters
+        ----------
+        given
+            Values before the first window; None if they are not known.
+        ends
+            Of each window; None if it is not known, at the first sweep: the price of the end is then that
+            which the window before it found at the end of its own stages.
+        """
+        found: list[Found] = []
+        for number, (piece, end) in enumerate(zip(self._pieces, ends, strict=True)):
+            if number and piece.link is not None and self._last is not None:
+                given = self._last.start.x[piece.link]
+            known = found[-1].price if found else None
+            found.append(self.solve(number, given, end or _as_before(piece, known)))
+            if not found[-1].status.is_optimal:
+                break
+        return found
+
+    def solve(self, number: int, given: Array | None, end: End) -> Found:
+        """Solve one window, from where it stood in the last sweep, else from the window solved last."""
+        piece, last = self._pieces[number], self._last
+        start = self._starts[number]
+        if start is None and last is not None and last.structure == piece.structure:
+            start = replace(last.start, moved=1)
+        session, instance = self._sessions[piece.structure], piece.posed(given, end)
+        solution = session.solve(instance, start)
+        iterations, seconds = solution.iterations or 0, solution.seconds
+        if start is not None and not solution.status.is_optimal:
+            solution = session.solve(instance)
+            iterations, seconds = iterations + (solution.iterations or 0), seconds + solution.seconds
+        self._starts[number] = solution.start() if solution.status.is_optimal else None
+        self._last = _Last(piece.structure, solution.start())
+        variables, rows, cones = piece.own
+        return Found(
+            solution.termination,
+            solution.status,
+            solution.message,
+            iterations,
+            seconds,
+            solution.x[variables],
+            solution.lam_x[variables],
+            solution.lam_g[rows],
+            solution.z[cones],
+            np.zeros(0) if piece.seam is None else piece.seam.price(solution.x, solution.lam_g),
+            solution.x[piece.joint],
+        )
+
+
+def _as_before(piece: Piece, known: Array | None) -> End:
+    """Return an end of the price that the window before has found at its own, if it has one."""
+    free = End.free(piece.behind)
+    return free if known is None or known.size != piece.behind else replace(free, price=known)
+
+
+class _Last(NamedTuple):
+    """The structure of the window that was solved last, and its solution."""
+
+    structure: bytes
+    start: Start

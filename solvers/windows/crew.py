@@ -1,0 +1,66 @@
+"""Who solves the chains of a sweep: this process, or the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from solvers.errors import SolverError
+from solvers.windows.chain import Chain, Found
+from solvers.windows.settings import Settings
+from solvers.windows.sweeps import Asked
+
+__all__ = ["Crew", "crew"]
+
+Crew = Callable[[Sequence[Asked]], list[list[Found]]]
+_PATIENCE = 30.0  # seconds to wait for a scheduler
+
+
+@contextmanager
+def crew(chains: Sequence[Chain], settings: Settings) -> Iterator[Crew]:
+    """Yield a function that sweeps all chains, each by a worker of its own that keeps what it compiled."""
+    if settings.scheduler is None and len(chains) == 1:
+        yield lambda asked: [chain.sweep(*ask) for chain, ask in zip(chains, asked, strict=True)]
+        return
+    with ExitStack() as stack:
+        client = stack.enter_context(_client(len(chains), settings))
+        names = sorted(client.scheduler_info()["workers"])
+        actors: list[Any] = [
+            client.submit(_same, chain, actor=True, pure=False, workers=[names[number % len(names)]])
+            for number, chain in enumerate(chains)
+        ]
+        actors = [actor.result() for actor in actors]
+
+        def sweep(asked: Sequence[Asked]) -> list[list[Found]]:
+            futures = [actor.sweep(*ask) for actor, ask in zip(actors, asked, strict=True)]
+            return [future.result() for future in futures]
+
+        yield sweep
+
+
+def _same(chain: Chain) -> Chain:
+    return chain
+
+
+@contextmanager
+def _client(workers: int, settings: Settings) -> Iterator[Any]:
+    """Yield a client of the stated scheduler, or of a cluster of worker processes on this machine."""
+    from distributed import Client
+
+    if settings.scheduler is None:
+        from solvers.cluster import local_cluster
+
+        with local_cluster(workers, settings.memory) as cluster, Client(cluster) as client:
+            yield client
+        return
+    try:
+        client = Client(settings.scheduler, timeout=_PATIENCE)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        raise SolverError(f"windows: no scheduler answers at {settings.scheduler!r}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            raise SolverError(f"windows: the scheduler at {settings.scheduler} has no workers") from None
+        yield client

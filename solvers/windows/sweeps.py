@@ -1,0 +1,214 @@
+"""Sweeps over overlapping windows in time, until what they say about their seams agrees."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.assembly import Evaluator
+from solvers.program import Array, Index, Instance
+from solvers.solution import Start
+from solvers.windows.chain import Chain, Found, Sessions
+from solvers.windows.partition import Partition
+from solvers.windows.piece import End, Piece
+from solvers.windows.seam import Seam
+from solvers.windows.window import Window
+
+__all__ = ["Asked", "Sweep", "Sweeps"]
+
+Asked = tuple[Array | None, list[End | None]]  # what is given before a chain, and the ends of its windows
+
+_SAME = 1e-9  # p.u.: change of what a window hands on that is none
+_FAR = 1.0  # p.u.: range of a variable without bounds, beside its magnitude
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep achieved.
+
+    Attributes
+    ----------
+    objective
+        Of the solution after it.
+    gap
+        Bound on the distance from the optimum that the seams allow, relative to the objective.
+    jump
+        Largest primal jump at a seam.
+    iterations
+        Of all windows.
+    seconds
+        Since the beginning.
+    """
+
+    number: int
+    objective: float
+    gap: float
+    jump: float
+    iterations: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"sweep {self.number}: objective {self.objective:.8g}, gap {self.gap:.1e}, jump {self.jump:.1e}, "
+            f"{self.iterations} iterations, {self.seconds:.1f} s"
+        )
+
+
+class Sweeps:
+    r"""Sweeps over the windows of a program, until they agree at the seams.
+
+    In each sweep a chain of windows is solved from its first to its last, each from where the one before it
+    ends, while the price of its end is that of the sweep before. What remains is the difference
+    :math:`\delta` of the two prices of each seam: that of the window before it, and that of the window
+    behind. For a convex program with values of seam variables within :math:`[l, u]`, the objective exceeds
+    its optimum by at most :math:`\sum |\delta| \max(u - x, x - l)`; that, and the primal jumps between
+    chains at their price, is the gap. Jumps end with a last pass over the windows behind them.
+
+    Parameters
+    ----------
+    solve
+        Takes what is given before each chain and the ends of its windows, and sweeps all chains.
+    proximal
+        Weight of the proximal term of a variable at a seam, relative to its price over its range.
+    start
+        A point of the whole program, whose multipliers price the first sweep.
+    """
+
+    def __init__(
+        self,
+        partition: Partition,
+        instance: Instance,
+        solve: Callable[[Sequence[Asked]], list[list[Found]]],
+        evaluator: Evaluator,
+        proximal: float,
+        start: Start | None = None,
+    ) -> None:
+        self._partition, self._instance, self._solve = partition, instance, solve
+        self._evaluator, self._proximal = evaluator, proximal
+        self._began = time.perf_counter()
+        program = partition.staged.program
+        self.x = (instance.start if start is None else start.x).copy()
+        self._known = start is not None and start.lam_g is not None
+        sizes = (program.n_variables, program.n_rows, program.n_cone_values)
+        known = (None,) * 3 if start is None else (start.lam_x, start.lam_g, start.z)
+        self.lam_x, self.lam_g, self.z = (
+            np.zeros(size) if own is None else own.copy() for size, own in zip(sizes, known, strict=True)
+        )
+        self.trace: list[Sweep] = []
+        self.iterations = 0
+        self.failed: Found | None = None
+        staged = partition.staged
+        inner = [window for window in partition.windows if window.span.end < staged.stages]
+        self._ends = {
+            w.span.last: Seam.after(staged, w.span.last - 1, instance) for w in inner if w.behind.size
+        }
+        self._joints = {w.span.end: Seam.after(staged, w.span.end - 1, instance) for w in inner}
+
+    def sweep(self) -> None:
+        """Solve every window once."""
+        found = self._solve([self._asked(chain) for chain in self._partition.chains])
+        for chain, results in zip(self._partition.chains, found, strict=True):
+            for window, result in zip(chain, results, strict=False):
+                self._take(window, result)
+        if self.failed is not None:
+            return
+        self._known = True
+        flat = [result for results in found for result in results]
+        gap, jump = self._measured(flat)
+        objective = self._evaluator.objective(self.x, self._instance.parameters)
+        self.trace.append(
+            Sweep(
+                len(self.trace) + 1,
+                objective,
+                gap / max(abs(objective), 1e-9),
+                jump,
+                sum(result.iterations for result in flat),
+                self.seconds,
+            )
+        )
+
+    def done(self, tolerance: float) -> bool:
+        """Whether a window has failed, or the gap is within a tolerance."""
+        return self.failed is not None or bool(self.trace and self.trace[-1].gap <= tolerance)
+
+    @property
+    def seconds(self) -> float:
+        """Time since the beginning."""
+        return time.perf_counter() - self._began
+
+    def close(self, windows: Sequence[Window], sessions: Sessions) -> None:
+        """Remove primal jumps: solve windows again that begin where the one before them ends.
+
+        Parameters
+        ----------
+        windows
+            Those from the second chain on, none of which is extended to the left. Where one hands on what
+            it handed on before, those that follow stay as they are, to the beginning of the next chain.
+        """
+        led = {chain[0].span.begin for chain in self._partition.chains}
+        came = True
+        for window in windows:
+            came = came or window.span.begin in led
+            if not came:
+                continue
+            handed = self._joints.get(window.span.end)
+            inside = window.inside
+            point = (self.x[inside], self.lam_x[inside], self.lam_g[window.rows], self.z[window.cones])
+            chain = Chain(sessions, [Piece.of(window, self._instance)], [Start(*point)])
+            before = None if handed is None else self.x[handed.variables]
+            result = chain.solve(0, self.x[window.before], self._end(window))
+            self._take(window, result)
+            if handed is not None and before is not None:
+                came = bool((np.abs(self.x[handed.variables] - before) > _SAME).any())
+            if self.failed is not None:
+                return
+
+    def _take(self, window: Window, result: Found) -> None:
+        """Put what a window found into the solution."""
+        self.iterations += result.iterations
+        variables, rows, cones = window.own
+        self.x[variables], self.lam_x[variables] = result.x, result.lam_x
+        self.lam_g[rows], self.z[cones] = result.lam_g, result.z
+        if not result.status.is_optimal:
+            self.failed = self.failed or result
+
+    def _asked(self, chain: Sequence[Window]) -> Asked:
+        if not self._known:
+            return None, [None] * len(chain)
+        return self.x[chain[0].before], [self._end(window) for window in chain]
+
+    def _end(self, window: Window) -> End:
+        """Return what the end of a window is worth by the last sweep."""
+        if not window.behind.size:
+            return End.free(0)
+        price = self._ends[window.span.last].price(self.x, self.lam_g)
+        width = self._range(window.behind)
+        return End(price, self._proximal * np.abs(price) / width, self.x[window.behind])
+
+    def _range(self, variables: Index) -> Array:
+        """Return how far variables can be from the solution."""
+        x, at = self.x[variables], self._instance
+        lower, upper = at.lower[variables], at.upper[variables]
+        far = _FAR + np.abs(x)
+        below = np.where(np.isinf(lower), far, x - lower)
+        above = np.where(np.isinf(upper), far, upper - x)
+        return np.maximum(np.maximum(below, above), 1e-9)
+
+    def _measured(self, found: Sequence[Found]) -> tuple[float, float]:
+        """Return the sum that bounds the distance from the optimum, in units of the objective, and jumps."""
+        total, largest = 0.0, 0.0
+        windows = self._partition.windows
+        for window, result in zip(windows, found, strict=True):
+            joint = self._joints.get(window.span.end)
+            if joint is not None and joint.variables.size:
+                price = joint.price(self.x, self.lam_g)
+                total += float(np.abs(result.price - price) @ self._range(joint.variables))
+            if result.joint.size:
+                before = self._joints[window.span.begin]
+                jump = np.abs(self.x[before.variables] - result.joint)
+                total += float(jump @ np.abs(before.price(self.x, self.lam_g)))
+                largest = max(largest, float(jump.max()))
+        return total, largest
