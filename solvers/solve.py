@@ -21,6 +21,7 @@ __all__ = [
     "broken_back_ends",
     "choose",
     "find",
+    "in_parts",
     "installed",
     "prepare",
     "rescan",
@@ -48,6 +49,8 @@ class BackEnd(Protocol):
         Name of the back end.
     accepts
         Most general kind of program that it solves.
+    in_parts
+        Optional: whether it solves programs part by part and never holds the whole one.
     """
 
     name: str
@@ -153,6 +156,11 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
         for end in accepting or offering:
             return end, name
     raise UnknownSolverError(f"no installed solver is named {name!r}; {_inventory(ends)}")
+
+
+def in_parts(name: str) -> bool:
+    """Whether the back end that ``name`` refers to solves programs part by part, in little memory."""
+    return getattr(back_ends().get(name.partition(":")[0]), "in_parts", False)
 
 
 def _inventory(ends: Mapping[str, BackEnd]) -> str:

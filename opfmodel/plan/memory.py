@@ -15,13 +15,14 @@ MB, GB = 1_000_000, 1_000_000_000
 # lowest figure of each group is used, so a problem is refused only if it would certainly not fit.
 _REACTIVE_BYTES = 4_000  # per component and stage, formulations with reactive power
 _ACTIVE_BYTES = 1_000  # per component and stage, all others
+_PARTS_BYTES = 500  # solved window by window: measured 0.4 MB per stage, whatever the length of the horizon
 _SERIES_BYTES = 40  # per load and step: active and reactive demand, and temporary arrays of a rule
 _STEP_BYTES, _STEP_COMPONENT_BYTES = 6_000, 30  # per step of a run, and per step and component
 _UNKNOWN_MACHINE = 32 * GB  # if the system does not report it
 _LIMITS_OF_CONTAINERS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
-def problem_bytes(components: int, stages: int, reactive: bool) -> int:
+def problem_bytes(components: int, stages: int, reactive: bool, in_parts: bool = False) -> int:
     """Estimate the memory needed to compile and solve a multi-stage problem.
 
     Parameters
@@ -30,8 +31,11 @@ def problem_bytes(components: int, stages: int, reactive: bool) -> int:
         Number of components of all kinds.
     reactive
         Whether the formulation has reactive power.
+    in_parts
+        Whether the solver never holds the whole problem; see :func:`solvers.in_parts`.
     """
-    return components * stages * (_REACTIVE_BYTES if reactive else _ACTIVE_BYTES)
+    each = _PARTS_BYTES if in_parts else _REACTIVE_BYTES if reactive else _ACTIVE_BYTES
+    return components * stages * each
 
 
 def series_bytes(loads: int, values: int) -> int:

@@ -45,7 +45,7 @@ from opfmodel.plan.screening import Contingency, Screening
 from opfmodel.plan.security import NOTHING, Security
 from opfmodel.plan.shortage import Nothing, without_outbidding
 from opfmodel.plan.solving import posed, solved
-from solvers import Instance, Program, Session
+from solvers import Instance, Program, Session, in_parts
 from solvers.interrupt import interruptible
 
 __all__ = ["Initial", "MultiStage"]
@@ -180,7 +180,7 @@ class MultiStage:
         self.arrays = per_unit(self.network)
         self.formulation = make_formulation(formulation)
         stages = len(horizon) if isinstance(horizon, Horizon) else integer("horizon", horizon, at_least=1)
-        needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive)
+        needed = problem_bytes(self.arrays.n_components, stages, self.formulation.reactive, in_parts(solver))
         check_memory(f"horizon = {stages:,}", needed)
         self.horizon = self._horizon(horizon, step)
         self.outages = check_declared(outages, self.peak)

@@ -35,6 +35,7 @@ class Windows:
 
     name = "windows"
     accepts = Kind.NONLINEAR
+    in_parts = True
 
     def solvers(self) -> Iterator[str]:
         """The other back ends, IPOPT first."""
@@ -117,10 +118,14 @@ class WindowsSession:
         """Return the solution, with the status that the gap and the windows support."""
         last, failed = self.trace[-1] if self.trace else None, sweeps.failed
         if failed is not None:
-            termination, status = failed.termination, failed.status
-            if status.is_infeasible:  # given where the window before it ends
+            window, found = failed
+            termination, status, message = found.termination, found.status, found.message
+            if (
+                window.span.first
+            ):  # infeasible from where the window before it ends, perhaps not from elsewhere
                 status = SolutionStatus.NONE
-            message = f"{failed.message}, in a window"
+            if windows > 1:
+                message = f"{message}, in stages {window.span.first} to {window.span.last - 1}"
         else:
             assert last is not None
             swept = f"{_counted(last.number, 'sweep')} of {_counted(windows, 'window')}"
@@ -141,7 +146,7 @@ class WindowsSession:
             termination=termination,
             status=status,
             message=message,
-            solver=f"windows:{self._solver}",
+            solver=self._solver,
             iterations=sweeps.iterations,
             seconds=sweeps.seconds,
         )

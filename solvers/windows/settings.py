@@ -40,7 +40,7 @@ class Settings:
     overlap: int | Literal["auto"] = "auto"
     tolerance: float = 1e-6
     sweeps: int = 50
-    proximal: float = 0.01
+    proximal: float = 0.1
     workers: int = 1
     memory: str | None = None
     scheduler: str | None = None

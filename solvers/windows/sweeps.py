@@ -62,10 +62,14 @@ class Sweeps:
 
     In each sweep a chain of windows is solved from its first to its last, each from where the one before it
     ends, while the price of its end is that of the sweep before. What remains is the difference
-    :math:`\delta` of the two prices of each seam: that of the window before it, and that of the window
-    behind. For a convex program with values of seam variables within :math:`[l, u]`, the objective exceeds
-    its optimum by at most :math:`\sum |\delta| \max(u - x, x - l)`; that, and the primal jumps between
-    chains at their price, is the gap. Jumps end with a last pass over the windows behind them.
+    :math:`\delta` of the two prices of each seam, that of the window behind it less that of the window
+    before. It is the gradient of the Lagrangian, so for a convex program with seam variables within
+    :math:`[l, u]` the objective exceeds its optimum by at most
+
+    .. math:: \sum \max(\delta, 0) (x - l) + \max(-\delta, 0) (u - x)
+
+    That, and the primal jumps between chains at their price, is the gap. Jumps end with a last pass over the
+    windows behind them.
 
     Parameters
     ----------
@@ -99,7 +103,7 @@ class Sweeps:
         )
         self.trace: list[Sweep] = []
         self.iterations = 0
-        self.failed: Found | None = None
+        self.failed: tuple[Window, Found] | None = None
         staged = partition.staged
         inner = [window for window in partition.windows if window.span.end < staged.stages]
         self._ends = {
@@ -173,7 +177,7 @@ class Sweeps:
         self.x[variables], self.lam_x[variables] = result.x, result.lam_x
         self.lam_g[rows], self.z[cones] = result.lam_g, result.z
         if not result.status.is_optimal:
-            self.failed = self.failed or result
+            self.failed = self.failed or (window, result)
 
     def _asked(self, chain: Sequence[Window]) -> Asked:
         if not self._known:
@@ -185,17 +189,17 @@ class Sweeps:
         if not window.behind.size:
             return End.free(0)
         price = self._ends[window.span.last].price(self.x, self.lam_g)
-        width = self._range(window.behind)
+        width = np.maximum(sum(self._range(window.behind)), 1e-9)
         return End(price, self._proximal * np.abs(price) / width, self.x[window.behind])
 
-    def _range(self, variables: Index) -> Array:
-        """Return how far variables can be from the solution."""
+    def _range(self, variables: Index) -> tuple[Array, Array]:
+        """Return how far the optimum can lie below and above the solution."""
         x, at = self.x[variables], self._instance
         lower, upper = at.lower[variables], at.upper[variables]
         far = _FAR + np.abs(x)
         below = np.where(np.isinf(lower), far, x - lower)
         above = np.where(np.isinf(upper), far, upper - x)
-        return np.maximum(np.maximum(below, above), 1e-9)
+        return np.maximum(below, 0.0), np.maximum(above, 0.0)
 
     def _measured(self, found: Sequence[Found]) -> tuple[float, float]:
         """Return the sum that bounds the distance from the optimum, in units of the objective, and jumps."""
@@ -204,8 +208,9 @@ class Sweeps:
         for window, result in zip(windows, found, strict=True):
             joint = self._joints.get(window.span.end)
             if joint is not None and joint.variables.size:
-                price = joint.price(self.x, self.lam_g)
-                total += float(np.abs(result.price - price) @ self._range(joint.variables))
+                slope = joint.price(self.x, self.lam_g) - result.price
+                below, above = self._range(joint.variables)
+                total += float(np.maximum(slope, 0.0) @ below + np.maximum(-slope, 0.0) @ above)
             if result.joint.size:
                 before = self._joints[window.span.begin]
                 jump = np.abs(self.x[before.variables] - result.joint)
