@@ -38,7 +38,7 @@ table: .venv/.run
 	$(BIN)/python -m benchmarks.paper
 
 bench: .venv/.bench
-	for name in compile receding growth tree security peers warm_start profile backends study page; do \
+	for name in compile receding growth windows tree security peers warm_start profile backends study page; do \
 		$(BIN)/python -m benchmarks.$$name || exit 1; done
 
 generated: .venv/.run

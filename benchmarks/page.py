@@ -49,6 +49,12 @@ instance data and reading results.""",
 and with the size of the network (single stages of PGLib cases; 1,354 buses over a day with 20
 storage units).""",
     ),
+    "windows": (
+        "Windows",
+        """IEEE 118 with storage at every bus: a plan of four weeks as a whole and by overlapping windows of a
+week, on one worker and on more. `excess` is the relative difference from the whole plan, `gap` its bound;
+the memory of workers is not in `peak`. [scale.md](scale.md) has a plan of a year.""",
+    ),
     "tree": (
         "Trees of scenarios",
         """IEEE 118 with storage at every bus and 1, 3, 5 and 9 scenarios of 24 stages that share two: cold

@@ -257,12 +257,12 @@ def test_cones_and_curves_are_refused_with_their_names() -> None:
     with pytest.raises(
         solvers.UnsupportedProgramError,
         match=r"'qp' solves at most a convex quadratic program, but block 'disc' of 'disc' makes it a "
-        r"second-order cone program; back ends that accept it: clarabel, conic, ipopt$",
+        r"second-order cone program; back ends that accept it: clarabel, conic, ipopt, windows$",
     ):
         solvers.prepare(built("disc").program, "qp")
     with pytest.raises(
         solvers.UnsupportedProgramError,
-        match=r"blocks 'product', 'sphere', 'cost 1' .* nonlinear program; .*: ipopt$",
+        match=r"blocks 'product', 'sphere', 'cost 1' .* nonlinear program; .*: ipopt, windows$",
     ):
         solvers.prepare(built("hock_schittkowski_71").program, "conic:clarabel")
 

@@ -306,7 +306,7 @@ class ControllerSection(Section):
     )
     solver: Annotated[str | SolverSection, _BY_NAME] = Field(
         "auto",
-        description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`), solver (`scs`) or both "
+        description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`, `windows`), solver (`scs`) or both "
         "(`conic:scs`)",
     )
 
