@@ -226,7 +226,10 @@ def test_list(call: Call) -> None:
         (("run", CASE14), r"pglib_opf_case14_ieee\.m: .*\.yaml"),
         (("solve", CASE14, "--formulation", "acc"), "there is no formulation 'acc'; did you mean 'ac'"),
         (("solve", CASE14, "--solver", "nosuch"), "solver .*'nosuch'; available: .*ipopt"),
-        (("solve", CASE14, "--solver", "qp"), "make it a nonlinear program; back ends that accept it: ipopt, windows"),
+        (
+            ("solve", CASE14, "--solver", "qp"),
+            "make it a nonlinear program; back ends that accept it: ipopt, windows",
+        ),
         (("solve", CASE14, "--horizon", "0"), "horizon = 0"),
         (("solve", CASE14, "--variant", "x"), r"pglib_opf_case14_ieee\.m: --variant and --set"),
         (("run", CASE5, "--set", "controller"), "--set controller: .*KEY=VALUE"),
