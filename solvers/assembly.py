@@ -2,12 +2,12 @@
 
 Values and derivatives are taken template by template, mapped over the places of each template,
 and scattered into the global vectors and sparse matrices. No large expression graph is built:
-the graph of a template is small, and everything else is index arrays.
+the graph of a template is small, and everything else is index arrays, which the functions share.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic
+from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic, map_numbers
 from solvers.program import Array, Index, Placement, Program
 
 __all__ = ["Assembly", "Evaluator"]
@@ -39,6 +39,7 @@ class Assembly:
         self.program = program
         self._x = ca.MX.sym("x", program.n_variables)
         self._p = ca.MX.sym("p", program.n_parameters)
+        self._gathered: dict[Placement, tuple[Any, Any]] = {}
 
     @cached_property
     def costs(self) -> Quadratic:
@@ -98,32 +99,22 @@ class Assembly:
         values, matrix = self._values(self.cones), self._slope(self.cones)
         return ca.Function("cone_values", [self._x, self._p], [values, matrix])
 
-    @cached_property
-    def outputs(self) -> Any:
-        """``(x, p) -> one vector per output``, in the order of the program's outputs."""
-        values = [
-            ca.vec(self._map(o.placement.template.value, o.placement)) if o.placement.count else ca.MX(0, 1)
-            for o in self.program.outputs.values()
-        ]
-        return ca.Function("outputs", [self._x, self._p], values)
-
     # Parts of the functions --------------------------------------------------------------
 
     @cached_property
     def _cost(self) -> tuple[Any, Any]:
         """Objective, and gradient of its folded part."""
         q, x, p = self.costs, self._x, self._p
-        curved = ca.mtimes(_constant(q.hxx), x)
-        slope = ca.DM(q.gx) + ca.mtimes(_constant(q.hxp), p)
+        curved = ca.densify(ca.mtimes(_constant(q.hxx), x))
+        slope = ca.mac(_constant(q.hxp), p, ca.MX(ca.DM(q.gx)))
         cost = ca.dot(x, 0.5 * curved + slope) + ca.dot(ca.DM(q.gp), p) + q.c
         if q.hpp.nnz:
             cost += 0.5 * ca.dot(p, ca.mtimes(_constant(q.hpp), p))
-        return cost + self._scatter(q.rest, 1), curved + slope
+        return self._scatter(q.rest, cost), curved + slope
 
     def _values(self, folded: Affine) -> Any:
-        constant = ca.mtimes(_constant(folded.b), self._p) + ca.DM(folded.c)
-        affine = ca.mtimes(_constant(folded.a), self._x) + constant
-        return ca.densify(affine + self._scatter(folded.rest, folded.c.size))
+        constant = ca.mac(_constant(folded.b), self._p, ca.MX(ca.DM(folded.c)))
+        return self._scatter(folded.rest, ca.mac(_constant(folded.a), self._x, constant))
 
     def _slope(self, folded: Affine) -> Any:
         matrix = _SparseSum(folded.a.shape)
@@ -132,18 +123,19 @@ class Assembly:
         return matrix.expression
 
     def _local(self, placement: Placement) -> tuple[Any, Any]:
-        return _gather(self._x, placement.variables), _gather(self._p, placement.parameters)
+        """Local variables and parameters at all places; read once, whatever the number of functions."""
+        if placement not in self._gathered:
+            of_x, of_p = _gather(self._x, placement.variables), _gather(self._p, placement.parameters)
+            self._gathered[placement] = of_x, of_p
+        return self._gathered[placement]
 
     def _map(self, function: Any, placement: Placement, *more: Any) -> Any:
         return function.map(placement.count)(*self._local(placement), *more)
 
-    def _scatter(self, placements: Sequence[Placement], size: int) -> Any:
-        """Sum of the outputs of placements, each added at its target position."""
-        if not placements:
-            return ca.MX.zeros(size, 1)
-        values = [ca.vec(self._map(p.template.value, p)) for p in placements]
-        target = np.concatenate([p.into.ravel(order="F") for p in placements])
-        return ca.densify(ca.mtimes(_selection(size, target), ca.vertcat(*values)))
+    def _scatter(self, placements: Sequence[Placement], base: Any) -> Any:
+        """Sum of ``base`` and the outputs of placements, each added at its target position."""
+        values = [self._map(p.template.value, p) for p in placements]
+        return _scatter(base, [p.into for p in placements], values)
 
     def _add_jacobian(self, matrix: _SparseSum, placements: Sequence[Placement]) -> None:
         for placement in placements:
@@ -156,23 +148,26 @@ class Assembly:
         n = self.program.n_variables
         matrix = _SparseSum((n, n))
         matrix.add_numbers(sp.triu(self.costs.hxx, format="csc"), lam_f)
-        padded = ca.vertcat(lam_g, 0)  # position -1, a discarded output, has weight zero
         for placement in self.costs.rest:
             weights = ca.repmat(lam_f, 1, placement.count)
             self._add_hessian(matrix, placement, weights)
         for placement in self.constraints.rest:
-            into = np.where(placement.into < 0, lam_g.numel(), placement.into)
-            self._add_hessian(matrix, placement, _gather(padded, into))
+            into, weights = placement.into, lam_g
+            if (into < 0).any():  # a discarded output has weight zero
+                into, weights = np.where(into < 0, lam_g.numel(), into), ca.vertcat(lam_g, 0)
+            self._add_hessian(matrix, placement, _gather(weights, into))
         return matrix.expression
 
     def _add_hessian(self, matrix: _SparseSum, placement: Placement, weights: Any) -> None:
         template = placement.template
         i, j = template.hessian_pattern
         first, second = placement.variables[i], placement.variables[j]
-        # where two local variables share a position, both mixed derivatives contribute to its diagonal
-        twice = np.where((first == second) & (i != j)[:, None], 2.0, 1.0)
         values = self._map(template.hessian, placement, weights)
-        matrix.add(np.minimum(first, second), np.maximum(first, second), values, twice)
+        # where two local variables share a position, both mixed derivatives contribute to its diagonal
+        twice = (first == second) & (i != j)[:, None]
+        if twice.any():
+            values = values * ca.DM(1.0 + twice)
+        matrix.add(np.minimum(first, second), np.maximum(first, second), values)
 
 
 class _SparseSum:
@@ -181,7 +176,6 @@ class _SparseSum:
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
         self._keys: list[npt.NDArray[np.int64]] = []
-        self._factors: list[Array] = []
         self._values: list[Any] = []
         self._constant: tuple[npt.NDArray[np.int64], Array, Any] | None = None
 
@@ -189,12 +183,11 @@ class _SparseSum:
         flat = columns.astype(np.int64) * self._shape[0] + rows
         return np.where(rows < 0, -1, flat).ravel(order="F")
 
-    def add(self, rows: Index, columns: Index, values: Any, factor: Array | None = None) -> None:
+    def add(self, rows: Index, columns: Index, values: Any) -> None:
         """Add symbolic ``values`` of the same shape as ``rows`` and ``columns``."""
         if rows.size:
             self._keys.append(self._key(rows, columns))
-            self._factors.append(np.ones(rows.size) if factor is None else factor.ravel(order="F"))
-            self._values.append(ca.vec(values))
+            self._values.append(values)
 
     def add_numbers(self, matrix: sp.csc_array, scale: Any = None) -> None:
         """Add a constant matrix, optionally scaled by a symbol; call at most once."""
@@ -206,17 +199,13 @@ class _SparseSum:
         """The matrix as a sparse ``MX``."""
         none = np.zeros(0, dtype=np.int64)
         fixed, numbers, scale = self._constant or (none, np.zeros(0), None)
-        unique, position = np.unique(np.concatenate([*self._keys, fixed, none]), return_inverse=True)
-        discarded = int(unique.size > 0 and unique[0] < 0)
-        unique, position = unique[discarded:], position - discarded
-        count = position.size - fixed.size
+        unique = np.unique(np.concatenate([*self._keys, fixed, none]))
+        unique = unique[np.searchsorted(unique, 0) :]  # without what is discarded
         constant = np.zeros(unique.size)
-        constant[position[count:]] = numbers
-        nonzeros = ca.MX(ca.DM(constant)) if scale is None else scale * ca.DM(constant)
-        if self._keys:
-            selection = _selection(unique.size, position[:count], np.concatenate(self._factors))
-            nonzeros = nonzeros + ca.mtimes(selection, ca.vertcat(*self._values))
-        return ca.MX(_sparsity(self._shape, unique), ca.densify(nonzeros))
+        constant[np.searchsorted(unique, fixed)] = numbers
+        base = ca.MX(ca.DM(constant)) if scale is None else scale * ca.DM(constant)
+        targets = [np.where(key < 0, -1, np.searchsorted(unique, key)) for key in self._keys]
+        return ca.MX(_sparsity(self._shape, unique), _scatter(ca.densify(base), targets, self._values))
 
 
 def _sparsity(shape: tuple[int, int], keys: npt.NDArray[np.int64]) -> Any:
@@ -227,14 +216,24 @@ def _sparsity(shape: tuple[int, int], keys: npt.NDArray[np.int64]) -> Any:
     return ca.Sparsity(shape[0], shape[1], starts.tolist(), rows.tolist())
 
 
-def _selection(size: int, target: npt.NDArray[np.integer[Any]], values: Array | None = None) -> Any:
-    """Matrix that adds entry ``i`` of a vector to position ``target[i]``; -1 drops it."""
-    kept = target >= 0
-    starts = np.concatenate([[0], np.cumsum(kept)])
-    sparsity = ca.Sparsity(size, target.size, starts.tolist(), target[kept].tolist())
-    if values is None:
-        return ca.DM(sparsity, 1.0)
-    return ca.DM(sparsity, values[kept])
+def _scatter(base: Any, targets: Iterable[npt.NDArray[np.integer[Any]]], values: Iterable[Any]) -> Any:
+    """Add values to a vector, each at its target position; -1 drops it.
+
+    To add at positions is the adjoint of reading from them. CasADi evaluates that in place, on the memory of
+    ``base``, and keeps one number per value; a selection matrix would take three, and a copy of all values.
+    """
+    read, seeds, symbol = [], [], ca.MX.sym("vector", base.numel())
+    for target, value in zip(targets, values, strict=True):
+        flat, column = target.ravel(order="F"), ca.vec(value)
+        kept = np.flatnonzero(flat >= 0)
+        if kept.size < flat.size:
+            flat, column = flat[kept], column.nz[kept.tolist()]
+        if flat.size:
+            read.append(ca.vec(symbol.nz[flat.tolist()]))  # of a single number it is a row
+            seeds.append(column)
+    if not read:
+        return base
+    return ca.jtimes(ca.vertcat(*read, symbol), symbol, ca.vertcat(*seeds, base), True)
 
 
 def _gather(vector: Any, index: Index) -> Any:
@@ -289,15 +288,18 @@ class Evaluator:
         values, jacobian = self.assembly.cone_values(x, p)
         return _vector(values), _matrix(jacobian)
 
+    def output(self, name: str, x: Array, p: Array) -> Array:
+        """Values of a named output, of shape ``(items, stages)``."""
+        output = self.program.outputs[name]
+        placement = output.placement
+        template, at = placement.template, x[placement.variables]
+        if not template.is_identity:
+            at = map_numbers(template.value, placement.count, at, p[placement.parameters])
+        return at.reshape((output.items, output.stages), order="F")
+
     def outputs(self, x: Array, p: Array) -> dict[str, Array]:
-        """Values of the named outputs, each of shape ``(items, stages)``."""
-        if not self.program.outputs:
-            return {}
-        values = self.assembly.outputs.call([ca.DM(x), ca.DM(p)])
-        return {
-            output.name: _vector(value).reshape((output.items, output.stages), order="F")
-            for output, value in zip(self.program.outputs.values(), values, strict=True)
-        }
+        """Values of all named outputs."""
+        return {name: self.output(name, x, p) for name in self.program.outputs}
 
 
 def _vector(value: Any) -> Array:

@@ -78,6 +78,8 @@ class Solution:
     def value(self, name: str) -> Array:
         """Values of a variable block or an output, shape ``(items, stages)``."""
         if name in self.program.outputs:
+            if name not in self._outputs:
+                self._outputs[name] = self.evaluator.output(name, self.x, self.instance.parameters)
             return self._kept(self._outputs[name])
         return self.variable(name)
 
@@ -112,7 +114,8 @@ class Solution:
 
     @cached_property
     def _outputs(self) -> dict[str, Array]:
-        return self.evaluator.outputs(self.x, self.instance.parameters)
+        """Values of the outputs that were asked for."""
+        return {}
 
     @staticmethod
     def _block(name: str, blocks: Mapping[str, Block]) -> Block:

@@ -83,6 +83,11 @@ class Template:
         return int(self.outputs.numel())
 
     @cached_property
+    def is_identity(self) -> bool:
+        """Whether the outputs are the variables themselves."""
+        return self.n_outputs == self.n_variables and bool(ca.is_equal(self.outputs, self.variables))
+
+    @cached_property
     def value(self) -> Any:
         """CasADi function ``(variables, parameters) -> outputs``."""
         return ca.Function(f"{_slug(self.name)}_value", [self.variables, self.parameters], [self.outputs])
