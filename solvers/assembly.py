@@ -291,11 +291,16 @@ class Evaluator:
     def output(self, name: str, x: Array, p: Array) -> Array:
         """Values of a named output, of shape ``(items, stages)``."""
         output = self.program.outputs[name]
-        placement = output.placement
-        template, at = placement.template, x[placement.variables]
-        if not template.is_identity:
-            at = map_numbers(template.value, placement.count, at, p[placement.parameters])
-        return at.reshape((output.items, output.stages), order="F")
+        shape, template = (output.items, output.stages), output.template
+        variables, parameters = (
+            [np.broadcast_to(vector[index], shape).ravel(order="F") for index in positions]
+            for vector, positions in ((x, output.variables), (p, output.parameters))
+        )
+        count = output.items * output.stages
+        if template.is_identity:
+            return variables[0].reshape(shape, order="F")
+        at = (np.reshape(values, (len(values), count)) for values in (variables, parameters))
+        return map_numbers(template.value, count, *at).reshape(shape, order="F")
 
     def outputs(self, x: Array, p: Array) -> dict[str, Array]:
         """Values of all named outputs."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
+from weakref import WeakValueDictionary
 
 import casadi as ca
 import numpy as np
@@ -11,7 +13,7 @@ import numpy.typing as npt
 
 from solvers.errors import ProgramError
 from solvers.expression import Constraint, Expression, Leaf, Sum, constant, reference
-from solvers.program import Block, Cone, Epigraph, Index, Output, Placement, Program
+from solvers.program import POSITION, Array, Block, Cone, Epigraph, Index, Output, Placement, Program
 from solvers.template import Template
 
 __all__ = ["ProgramBuilder", "Rows"]
@@ -57,7 +59,7 @@ class ProgramBuilder:
     def __init__(self, name: str = "program", ordered: bool = True) -> None:
         self.name = name
         self.ordered = ordered
-        self.symbols: dict[str, Any] = {}
+        self.leaves: WeakValueDictionary[str, Leaf] = WeakValueDictionary()  # of all expressions, by symbol
         self._variables: dict[str, Block] = {}
         self._parameters: dict[str, Block] = {}
         self._rows: dict[str, Block] = {}
@@ -87,10 +89,8 @@ class ProgramBuilder:
     ) -> Expression:
         """Declare a block of variables, which start at the point within their bounds nearest to zero."""
         block = self._block(self._variables, name, items, stages, lower, upper, 0.0)
-        value = np.clip(0.0, block.lower, block.upper) if start is None else block.spread(start)
-        self._variables[name] = Block(
-            name, items, stages, block.offset, block.lower, block.upper, np.ascontiguousarray(value)
-        )
+        value = np.clip(0.0, *map(_distinct, (block.lower, block.upper))) if start is None else start
+        self._variables[name] = replace(block, value=block.spread(value))
         return reference(self, "variable", block.index)
 
     def parameter(
@@ -150,13 +150,13 @@ class ProgramBuilder:
         """
         if isinstance(what, Template):
             count = np.asarray(into).shape[1]
-            empty = np.zeros((0, count), dtype=np.intp)
+            empty = np.zeros((0, count), dtype=POSITION)
             self._constraints.append(
                 Placement(
                     what,
-                    np.asarray(empty if variables is None else variables, dtype=np.intp),
-                    np.asarray(empty if parameters is None else parameters, dtype=np.intp),
-                    np.asarray(into, dtype=np.intp),
+                    np.asarray(empty if variables is None else variables, dtype=POSITION),
+                    np.asarray(empty if parameters is None else parameters, dtype=POSITION),
+                    np.asarray(into, dtype=POSITION),
                     what.name,
                 )
             )
@@ -206,9 +206,8 @@ class ProgramBuilder:
 
     def output(self, name: str, expression: Expression) -> None:
         """Declare a named expression whose values every solution reports."""
-        items, stages = expression.shape
-        index = np.arange(items * stages, dtype=np.intp).reshape((items, stages), order="F")
-        self._outputs[name] = Output(name, items, stages, self._place(name, [expression], [index]))
+        template, variables, parameters = self._template(name, [expression])
+        self._outputs[name] = Output(name, *expression.shape, template, variables, parameters)
 
     # Expressions -------------------------------------------------------------------------
 
@@ -270,9 +269,9 @@ class ProgramBuilder:
     ) -> Block:
         self._check_new(name)
         offset = sum(b.size for b in blocks.values())
-        empty = np.zeros((items, stages))
-        bare = Block(name, items, stages, offset, empty, empty, empty)
-        low, high, default = (np.ascontiguousarray(bare.spread(v)) for v in (lower, upper, value))
+        none = np.zeros((0, 0))
+        bare = Block(name, items, stages, offset, none, none, none)
+        low, high, default = (bare.spread(np.array(v, dtype=float)) for v in (lower, upper, value))
         block = Block(name, items, stages, offset, low, high, default, fixed)
         block.check_order(low, high)
         blocks[name] = block
@@ -281,33 +280,41 @@ class ProgramBuilder:
     def _place(self, name: str, expressions: Sequence[Expression], into: Sequence[Index] | None) -> Placement:
         """Turn expressions into one template and its placement."""
         shape = np.broadcast_shapes(*(e.shape for e in expressions), *(i.shape for i in into or ()))
+        count = shape[0] * shape[1]
+        template, variables, parameters = self._template(name, expressions)
+
+        def flat(sources: Sequence[Index]) -> Index:
+            made = np.empty((len(sources), count), dtype=POSITION)
+            for row, source in zip(made, sources, strict=True):
+                row[:] = np.broadcast_to(source, shape).ravel(order="F")
+            return made
+
+        # all entries of a cost add to one value
+        index = np.broadcast_to(POSITION(0), (1, count)) if into is None else flat(into)
+        return Placement(template, flat(variables), flat(parameters), index, name)
+
+    def _template(
+        self, name: str, expressions: Sequence[Expression]
+    ) -> tuple[Template, tuple[Index, ...], tuple[Index, ...]]:
+        """Turn expressions into a template, with the positions of its variables and of its parameters."""
         leaves: dict[str, Leaf] = {}
         for expression in expressions:
             leaves.update(expression.leaves)
         variables = [leaf for leaf in leaves.values() if leaf.kind == "variable"]
         parameters = [leaf for leaf in leaves.values() if leaf.kind != "variable"]
-
-        def flatten(source: Any) -> Any:
-            return np.broadcast_to(source, shape).ravel(order="F")
-
-        count = shape[0] * shape[1]
-        variable_index = np.zeros((len(variables), count), dtype=np.intp)
-        for row, leaf in enumerate(variables):
-            variable_index[row] = flatten(leaf.source)
-        parameter_index = np.zeros((len(parameters), count), dtype=np.intp)
-        for row, leaf in enumerate(parameters):
-            source = self._data_block(leaf).index if leaf.kind == "constant" else leaf.source
-            parameter_index[row] = flatten(source)
         template = Template(
             name,
             ca.vertcat(*(leaf.symbol for leaf in variables)),
             ca.vertcat(*(leaf.symbol for leaf in parameters)),
             ca.vertcat(*(e.formula for e in expressions)),
         )
-        index = np.zeros((1, count), dtype=np.intp)  # all entries of a cost add to one value
-        if into is not None:
-            index = np.stack([flatten(i) for i in into])
-        return Placement(template, variable_index, parameter_index, index, name)
+        variable, parameter = (tuple(map(self._positions, each)) for each in (variables, parameters))
+        return template, variable, parameter
+
+    def _positions(self, leaf: Leaf) -> Index:
+        """Positions from which a leaf is read; constants of the formulas are blocks of parameters."""
+        source: Index = self._data_block(leaf).index if leaf.kind == "constant" else leaf.source
+        return source
 
     def _data_block(self, leaf: Leaf) -> Block:
         """Parameter block that holds a constant of the formulas; equal constants share a block."""
@@ -326,3 +333,8 @@ class ProgramBuilder:
                 fixed=True,
             )
         return self._data[key]
+
+
+def _distinct(view: Array) -> Array:
+    """The part of a view that does not repeat: one row or column along each axis that it was broadcast to."""
+    return view[tuple(slice(None if step else 1) for step in view.strides)]

@@ -104,7 +104,7 @@ class Leaf:
 
     kind: LeafKind
     symbol: Any
-    source: Index | Array
+    source: Any
 
 
 class _Symbolic:
@@ -207,7 +207,9 @@ class Expression(_Symbolic):
                 "positions from 0 on, a slice or a mask"
             ) from None
         for leaf in self.leaves.values():
-            source: Any = np.broadcast_to(leaf.source, self.shape)[rows][:, columns]
+            source: Any = leaf.source  # an axis along which it repeats stays as it is
+            source = source[rows] if source.shape[0] > 1 else source
+            source = source[:, columns] if source.shape[1] > 1 else source
             moved = _leaf(self.builder, leaf.kind, source)
             leaves[moved.symbol.name()] = moved
             old.append(leaf.symbol)
@@ -432,7 +434,7 @@ def stacked(*values: Expression) -> Expression:
         ):
             raise ProgramError("only variables can be stacked, not formulas of them")
         sources.append(np.broadcast_to(leaves[0].source, value.shape))
-    return reference(values[0].builder, "variable", np.concatenate(sources).astype(np.intp))
+    return reference(values[0].builder, "variable", np.concatenate(sources))
 
 
 def largest(*values: Any) -> Any:
@@ -501,9 +503,10 @@ def reference(builder: ProgramBuilder, kind: LeafKind, index: Index) -> Expressi
 
 
 def _leaf(builder: ProgramBuilder, kind: LeafKind, source: Index | Array) -> Leaf:
-    """A leaf whose symbol is the same object for equal sources, so that x - x is 0."""
+    """The leaf of a source: one for all equal sources, so that x - x is 0."""
     digest = hashlib.blake2b(np.ascontiguousarray(source).tobytes(), digest_size=8).hexdigest()
     name = f"{kind}_{source.shape[0]}_{source.shape[1]}_{digest}"
-    if name not in builder.symbols:
-        builder.symbols[name] = ca.SX.sym(name)
-    return Leaf(kind, builder.symbols[name], source)
+    leaf = builder.leaves.get(name)
+    if leaf is None:
+        leaf = builder.leaves[name] = Leaf(kind, ca.SX.sym(name), source)
+    return leaf

@@ -165,7 +165,7 @@ class _Local:
         shifted = program.n_variables + placement.parameters[~fixed]
         self.positions = np.vstack([placement.variables, shifted])
         self._constants = ca.vertcat(*(s for s, c in zip(symbols, fixed, strict=True) if c))
-        self._data = program.default.parameters[placement.parameters[fixed]]
+        self._data = program.values[placement.parameters[fixed]]
         self._count = placement.count
 
     def numbers(self, expression: Any) -> Array:

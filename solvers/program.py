@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +25,24 @@ import numpy.typing as npt
 from solvers.errors import ProgramError
 from solvers.template import Template
 
-__all__ = ["Array", "Block", "Cone", "Epigraph", "Index", "Instance", "Output", "Placement", "Program"]
+__all__ = [
+    "POSITION",
+    "Array",
+    "Block",
+    "Cone",
+    "Epigraph",
+    "Index",
+    "Instance",
+    "Output",
+    "Placement",
+    "Program",
+]
 
 Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
+Index = npt.NDArray[np.signedinteger[Any]]
+POSITION = np.int32
+"""Type of positions in a vector, which are most of a program of many stages: half the size of NumPy's own."""
+
 Numbers = Mapping[str, "npt.ArrayLike"]
 
 
@@ -38,7 +53,8 @@ class Block:
     Attributes
     ----------
     lower, upper
-        Bounds of shape ``(items, stages)``; infinite for parameters.
+        Bounds of shape ``(items, stages)``; infinite for parameters. Like the value they are read-only views,
+        of one column where all stages have the same.
     value
         Starting point of a variable, default of a parameter; zero for rows.
     fixed
@@ -72,7 +88,8 @@ class Block:
     @cached_property
     def index(self) -> Index:
         """Position of each entry in its vector; the entries of one stage are contiguous."""
-        return self.offset + np.arange(self.size, dtype=np.intp).reshape(self.shape, order="F")
+        end = self.offset + self.size
+        return np.arange(self.offset, end, dtype=POSITION).reshape(self.shape, order="F")
 
     def read(self, vector: Array) -> Array:
         """The block's part of ``vector`` as an array of shape ``(items, stages)``."""
@@ -131,7 +148,8 @@ class Cone:
     @cached_property
     def index(self) -> Index:
         """Positions of shape ``(dimension, items * stages)`` in the vector of cone values."""
-        return self.offset + np.arange(self.size, dtype=np.intp).reshape(self.dimension, -1, order="F")
+        end = self.offset + self.size
+        return np.arange(self.offset, end, dtype=POSITION).reshape(self.dimension, -1, order="F")
 
     def read(self, vector: Array) -> Array:
         """The block's part as an array of shape ``(dimension, items, stages)``."""
@@ -182,12 +200,20 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """A named quantity of shape ``(items, stages)``, computed from a solution."""
+    """A named quantity of shape ``(items, stages)``, computed from a solution.
+
+    Attributes
+    ----------
+    variables, parameters
+        Positions of each local variable and parameter of the template, which broadcast to the shape.
+    """
 
     name: str
     items: int
     stages: int
-    placement: Placement
+    template: Template
+    variables: tuple[Index, ...]
+    parameters: tuple[Index, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,10 +276,15 @@ class Program:
         return np.concatenate([*flags, np.zeros(0, dtype=bool)])
 
     @cached_property
+    def values(self) -> Array:
+        """Default values of the parameters, in which the program data are."""
+        return _join(self.parameters.values(), "value")
+
+    @property
     def default(self) -> Instance:
         """Instance with the default bounds, values and starting point of each block."""
         return Instance(
-            parameters=_join(self.parameters.values(), "value"),
+            parameters=self.values.copy(),
             lower=_join(self.variables.values(), "lower"),
             upper=_join(self.variables.values(), "upper"),
             row_lower=_join(self.rows.values(), "lower"),
@@ -285,10 +316,7 @@ class Program:
         ProgramError
             Unknown block, wrong shape, NaN, or a lower bound above its upper bound.
         """
-        new = {
-            key: getattr(self.default, key).copy()
-            for key in ("parameters", "lower", "upper", "row_lower", "row_upper", "start")
-        }
+        new: dict[str, Array] = dict(vars(self.default))
         for name, values in (parameters or {}).items():
             block = self._block(name, self.parameters, "parameter")
             if np.all(block.fixed):
