@@ -199,8 +199,8 @@ class _SparseSum:
         """The matrix as a sparse ``MX``."""
         none = np.zeros(0, dtype=np.int64)
         fixed, numbers, scale = self._constant or (none, np.zeros(0), None)
-        unique = np.unique(np.concatenate([*self._keys, fixed, none]))
-        unique = unique[np.searchsorted(unique, 0) :]  # without what is discarded
+        keys = np.sort(np.concatenate([*self._keys, fixed, none]))
+        unique = keys[(keys >= 0) & np.append(True, np.diff(keys))[: keys.size].astype(bool)]
         constant = np.zeros(unique.size)
         constant[np.searchsorted(unique, fixed)] = numbers
         base = ca.MX(ca.DM(constant)) if scale is None else scale * ca.DM(constant)

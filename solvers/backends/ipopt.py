@@ -110,14 +110,19 @@ class IpoptSession:
         self._plugin = plugin
         self._options = options
         self._verbose = verbose
-        self._solvers: dict[str, Any] = {}
+        self._solvers: dict[str, Any] = {}  # at most one
         self._convex = classify(program).kind < Kind.NONLINEAR
         self._curvature_varies = curvature_varies(program)
         self._solver("cold")
 
     def _solver(self, situation: str) -> Any:
-        """Solver with the options for a situation; all solvers share the same functions."""
+        """Solver with the options for a situation; all solvers share the same functions.
+
+        A solver keeps its iterates and the factors of its last matrix until it is deleted, which are half of
+        what a solve needs, and takes milliseconds to create: that of another situation goes first.
+        """
         if situation not in self._solvers:
+            self._solvers.clear()
             functions = {
                 "grad_f": self._assembly.gradient,
                 "jac_g": self._assembly.jacobian,
@@ -140,6 +145,7 @@ class IpoptSession:
             "print_time": False,
             "error_on_fail": False,
             "calc_lam_p": False,
+            "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used and takes long to derive
         }
         if self._plugin != "ipopt":
             own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
