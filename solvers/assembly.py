@@ -222,18 +222,19 @@ def _scatter(base: Any, targets: Iterable[npt.NDArray[np.integer[Any]]], values:
     To add at positions is the adjoint of reading from them. CasADi evaluates that in place, on the memory of
     ``base``, and keeps one number per value; a selection matrix would take three, and a copy of all values.
     """
-    read, seeds, symbol = [], [], ca.MX.sym("vector", base.numel())
+    vector = ca.MX.sym("vector", base.numel())
+    read, seeds = [], []
     for target, value in zip(targets, values, strict=True):
         flat, column = target.ravel(order="F"), ca.vec(value)
         kept = np.flatnonzero(flat >= 0)
         if kept.size < flat.size:
             flat, column = flat[kept], column.nz[kept.tolist()]
         if flat.size:
-            read.append(ca.vec(symbol.nz[flat.tolist()]))  # of a single number it is a row
+            read.append(ca.vec(vector.nz[flat.tolist()]))  # of a single number it is a row
             seeds.append(column)
-    if not read:
-        return base
-    return ca.jtimes(ca.vertcat(*read, symbol), symbol, ca.vertcat(*seeds, base), True)
+    adjoint = ca.Function("read", [vector], [*read, vector]).reverse(1)
+    unused = [ca.MX(*adjoint.size_in(i)) for i in range(2 + len(read))]
+    return adjoint.call([*unused, *seeds, base], True, False)[0]
 
 
 def _gather(vector: Any, index: Index) -> Any:
