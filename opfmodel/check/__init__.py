@@ -10,25 +10,21 @@ requires no knowledge of them is verified, and the rest is reported as unchecked
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from opfmodel.check.checker import Checker
 from opfmodel.check.flows import ac_flows
 from opfmodel.check.report import Report, Violation
-from opfmodel.check.trajectories import Array, Series
+from opfmodel.check.trajectories import Array, Data, Series
 from opfmodel.network.network import Network
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Report", "Violation", "check", "economic_cost", "losses"]
 
 
 def check(
     network: Network,
-    data: xr.Dataset,
+    data: Data,
     series: Series | None = None,
     first: int = 0,
     previous_pg: Mapping[str, float] | None = None,
@@ -40,9 +36,9 @@ def check(
     network
         Declared network.
     data
-        Trajectories over ``time`` in physical units, as in ``plan.data``, ``plan.scenario(name)`` or
-        ``run.data``: for AC
-        ``vm``, ``va``, ``pg``, ``qg`` and, with storage, ``ps``, ``qs``, ``e``, ``e_next``. The
+        Trajectories over ``time`` in physical units, as in ``plan.data``, ``plan.scenario(name)``,
+        ``plan.trajectory(name)`` or ``run.data``: for AC ``vm``, ``va``, ``pg``, ``qg`` and, with storage,
+        ``ps``, ``qs``, ``e``, ``e_next``. The
         attribute ``formulation`` selects the physics, AC by default. Components may be in any order;
         components that are missing from the data count as out of service.
     series
@@ -67,12 +63,12 @@ def check(
     return Checker(network, data, series, first, previous_pg).run()
 
 
-def economic_cost(network: Network, data: xr.Dataset, series: Series | None = None, first: int = 0) -> Array:
+def economic_cost(network: Network, data: Data, series: Series | None = None, first: int = 0) -> Array:
     """Operating cost of all equipment in each stage, $/h, from its declaration."""
     return Checker(network, data, series, first).cost_rate()
 
 
-def losses(network: Network, data: xr.Dataset) -> Array:
+def losses(network: Network, data: Data) -> Array:
     """Active losses of all branches in each stage, MW: the sum of the flows into both ends."""
     at_from, at_to = ac_flows(Checker(network, data, None, 0))
     return np.asarray((at_from.real + at_to.real).sum(axis=0) * network.base_mva)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from itertools import chain
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import networkx as nx
 import numpy as np
@@ -15,13 +14,10 @@ import numpy.typing as npt
 from opfmodel.check.equipment import EQUIPMENT
 from opfmodel.check.flows import Flows, flows
 from opfmodel.check.report import Report, Violation
-from opfmodel.check.trajectories import Array, Bounds, Complex, Items, Series, Trajectories
+from opfmodel.check.trajectories import Array, Bounds, Complex, Data, Items, Series, Trajectories
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Load, Shunt
 from opfmodel.network.network import Network
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Checker"]
 
@@ -32,7 +28,7 @@ class Checker:
     def __init__(
         self,
         network: Network,
-        data: xr.Dataset,
+        data: Data,
         series: Series | None,
         first: int,
         previous_pg: Mapping[str, float] | None = None,

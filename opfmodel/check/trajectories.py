@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, time
 from itertools import chain, compress
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -22,12 +22,15 @@ from opfmodel.network.component import Component
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Array", "Bounds", "Complex", "Items", "Series", "Trajectories"]
+    from opfmodel.data.labelled import Labelled
+
+__all__ = ["Array", "Bounds", "Complex", "Data", "Items", "Series", "Trajectories"]
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating]
 Series = Mapping[Any, npt.ArrayLike]
 Bounds = tuple[Array, Array]
+Data: TypeAlias = "xr.Dataset | Labelled"
 
 _OVER: Mapping[str, Callable[..., Any]] = {
     "mean": np.mean,
@@ -37,7 +40,7 @@ _OVER: Mapping[str, Callable[..., Any]] = {
 }
 
 
-def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
+def _times(data: Data) -> tuple[Array, Callable[[int], str]]:
     """Hours at which the stages begin, and a function that returns the beginning of one as text."""
     times = data["time"].values
     if not np.issubdtype(times.dtype, np.datetime64):
@@ -50,7 +53,7 @@ def _times(data: xr.Dataset) -> tuple[Array, Callable[[int], str]]:
 class Trajectories:
     """Trajectories and time series as arrays ``(items, stages)``."""
 
-    def __init__(self, data: xr.Dataset, series: Series | None, first: int) -> None:
+    def __init__(self, data: Data, series: Series | None, first: int) -> None:
         self.data = data
         self.times, self.moments = _times(data)
         self.base = base = float(data.attrs.get("step_hours", 1.0))
@@ -95,10 +98,11 @@ class Trajectories:
             return np.zeros((0, len(self.times)))
         if quantity not in self.data:
             raise ResultError(f"data: no such quantity: {quantity!r}")
-        array = self.data[quantity].variable
+        array = self.data[quantity]
         kind = next(str(d) for d in array.dims if d != "time")
         position = self.position(kind)
-        values = np.asarray(array.transpose(kind, "time").values, dtype=float)
+        values = np.asarray(array.values, dtype=float)
+        values = values.T if array.dims[0] == "time" else values
         lacking = next((name for name in names if name not in position), None)
         if lacking is not None:
             raise ResultError(f"data: {kind}: {quantity!r} has no values of {lacking!r}")

@@ -113,7 +113,7 @@ def _verified(controller: Controller, plan: Plan) -> Report:
     problem, futures = plan.problem, controller.futures
     series = [problem.profiles] if futures is None else futures.series
     reports = [
-        check(problem.network, plan.scenario(name), own)
+        check(problem.network, plan.trajectory(name), own)
         for name, own in zip(plan.horizon.scenarios, series, strict=True)
     ]
     return max(reports, key=lambda report: report.max_violation)

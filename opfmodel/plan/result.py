@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
+from opfmodel.data.labelled import Labelled, Variable
 from opfmodel.errors import IncompatibleError, ModelError, nearest
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model, NumericStage, Shortage
@@ -20,6 +21,7 @@ from opfmodel.network.units import scale
 from opfmodel.plan.diagnosis import shortfall_due
 from opfmodel.plan.outages import STATUS
 from opfmodel.plan.request import Request
+from opfmodel.results import labelled
 from solvers import Solution, SolutionStatus
 
 if TYPE_CHECKING:
@@ -298,8 +300,12 @@ class Plan:
         ``probability`` and ``scenario``; see :meth:`scenario`. Stages of different lengths have the
         coordinate ``hours``.
         """
-        from opfmodel.results import dataset
+        made = self._labelled.dataset()
+        return made if self.horizon.is_chain else _over_nodes(made, self.horizon)
 
+    @property
+    def _labelled(self) -> Labelled:
+        """The quantities and the demand over the beginnings of the stages, also of a tree."""
         described = self.problem.described
         values = {
             name: (kind, *described[name], array)
@@ -310,7 +316,7 @@ class Plan:
                 table = self.network.tables[kind.kind]
                 status = np.broadcast_to(table.status, (len(table), self.stages))
                 values[f"{kind.kind}_status"] = (kind.kind, *STATUS, status)
-        made = dataset(self.network, values, self._moments)
+        made = labelled(self.network, values, self._moments)
         made.attrs |= {
             "network": self.network.name,
             "formulation": self.problem.formulation.name,
@@ -320,7 +326,10 @@ class Plan:
             "cost": self.objective,
         }
         made.attrs |= self.relaxation
-        return _with_nodes(made, self.horizon)
+        if not self.horizon.is_even:
+            about = {"units": "h", "long_name": "length of the stage"}
+            made.coords["hours"] = Variable(("time",), self.horizon.hours, about)
+        return made
 
     def scenario(self, name: str) -> xr.Dataset:
         """Return the quantities of one scenario over ``time``, from the measured state to the end.
@@ -330,16 +339,19 @@ class Plan:
         ModelError
             There is no scenario of that name.
         """
+        made = self.trajectory(name)
+        return self.data if self.horizon.is_chain else made.dataset()
+
+    def trajectory(self, name: str) -> Labelled:
+        """Return what :meth:`scenario` does without xarray, as :func:`opfmodel.check.check` takes it, too."""
         horizon = self.horizon
         if name not in horizon.scenarios:
             raise ModelError(f"scenario {name!r}: no such scenario; {nearest(name, horizon.scenarios)}")
         if horizon.is_chain:
-            return self.data
-        path = horizon.paths[horizon.scenarios.index(name)]
-        made = self.data.isel(node=path).swap_dims(node="time")
-        return made.drop_vars(["node", "parent", "probability", "scenario"]).assign_attrs(
-            scenario=name, cost=self.scenario_costs[name]
-        )
+            return self._labelled
+        made = self._labelled.take("time", horizon.paths[horizon.scenarios.index(name)])
+        made.attrs |= {"scenario": name, "cost": self.scenario_costs[name]}
+        return made
 
     def price(self, name: str) -> Array:
         """Return a shadow price in $ and per unit, ``(items, stages)``: ``lmp``, ``reserve_price``, ..."""
@@ -392,14 +404,8 @@ def _penalty(model: Model, solution: Solution) -> float:
     return sum(float(np.maximum(values, 0.0).sum()) for values in amounts)  # solvers leave -1e-8 of each
 
 
-def _with_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:
-    """Add the lengths of uneven stages; of a tree, turn the dimension ``time`` into nodes."""
-    if not horizon.is_even:
-        data = data.assign_coords(
-            hours=("time", horizon.hours, {"units": "h", "long_name": "length of the stage"})
-        )
-    if horizon.is_chain:
-        return data
+def _over_nodes(data: xr.Dataset, horizon: Horizon) -> xr.Dataset:
+    """Turn the dimension ``time`` into nodes of a tree."""
     of_node = {
         "node": np.arange(len(horizon)),
         "parent": ("node", horizon.parent, {"long_name": "node before, -1 for the measured state"}),

@@ -1,7 +1,7 @@
 """Results: labelled arrays, files and figures."""
 
-from opfmodel.results.dataset import dataset
+from opfmodel.results.dataset import dataset, labelled
 from opfmodel.results.limits import binding
 from opfmodel.results.store import finite, load, save
 
-__all__ = ["binding", "dataset", "finite", "load", "save"]
+__all__ = ["binding", "dataset", "finite", "labelled", "load", "save"]

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Times
+from opfmodel.data.labelled import Labelled, Variable
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.network.quantities import in_currency
 from opfmodel.network.units import scale
@@ -17,7 +18,7 @@ from opfmodel.results.limits import limits
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["DEMAND", "dataset"]
+__all__ = ["DEMAND", "dataset", "labelled"]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +29,14 @@ DEMAND = {"pd": ("p", "MW", "active"), "qd": ("q", "MVAr", "reactive")}
 def dataset(
     network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Times
 ) -> xr.Dataset:
-    """Build a dataset in physical units from per-unit arrays.
+    """Build a dataset in physical units from per-unit arrays; see :func:`labelled`."""
+    return labelled(network, quantities, times).dataset()
+
+
+def labelled(
+    network: PerUnitNetwork, quantities: Mapping[str, tuple[str, str, str, Array]], times: Times
+) -> Labelled:
+    """Label per-unit arrays, and convert them to physical units.
 
     Parameters
     ----------
@@ -42,22 +50,22 @@ def dataset(
 
     Returns
     -------
-    xarray.Dataset
+    Labelled
         Dimensions ``time`` and one per kind of component. Includes the demand ``pd``, ``qd`` of each bus,
         and the limits of the quantities, as ``vm_min``, ``vm_max`` and ``pg_ramp``, over ``time`` only where
         they vary.
     """
-    import xarray as xr
-
-    made = xr.Dataset(coords={"time": times.coordinate()})
-    made = made.assign_coords({"bus": list(network.bus.names)})
+    dimension, moments, about = times.coordinate()
+    made = Labelled({"time": Variable((dimension,), moments, about)})
+    made.coords["bus"] = Variable(("bus",), np.array(list(network.bus.names)), {})
     for kind, _, _, values in quantities.values():
         if kind and kind not in made.coords:
             table = network.tables.get(kind)
-            made = made.assign_coords({kind: np.arange(len(values)) if table is None else list(table.names)})
+            names = np.arange(len(values)) if table is None else np.array(list(table.names))
+            made.coords[kind] = Variable((kind,), names, {})
             if table is not None and "bus" in table.arrays:
-                at = [network.bus.names[b] for b in table.bus]
-                made = made.assign_coords({f"{kind}_bus": (kind, at, {"long_name": f"bus of the {kind}"})})
+                at = np.array([network.bus.names[b] for b in table.bus])
+                made.coords[f"{kind}_bus"] = Variable((kind,), at, {"long_name": f"bus of the {kind}"})
     demand = {
         name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times.steps)))
         for name, (field, unit, sort) in DEMAND.items()
@@ -65,15 +73,14 @@ def dataset(
     for name, (kind, unit, description, values) in {**quantities, **demand}.items():
         physical = values * scale(unit, network.base_mva)
         attributes = {"units": in_currency(unit, network.currency), "long_name": description}
-        made[name] = (("time", kind), physical.T, attributes) if kind else ("time", physical[0], attributes)
+        dims, part = (("time", kind), physical.T) if kind else (("time",), physical[0])
+        made.data_vars[name] = Variable(dims, part, attributes)
     for name, kind, unit, description, values in limits(network, quantities):
         if name not in quantities:
             physical = values * scale(unit, network.base_mva)
             attributes = {"units": unit, "long_name": description}
-            varying = values.shape[1] > 1
-            made[name] = (
-                (("time", kind), physical.T, attributes) if varying else (kind, physical[:, 0], attributes)
-            )
+            dims, part = (("time", kind), physical.T) if values.shape[1] > 1 else ((kind,), physical[:, 0])
+            made.data_vars[name] = Variable(dims, part, attributes)
     return made
 
 
