@@ -53,15 +53,6 @@ class PlacewiseEvaluator(Evaluator):
             self.program.cone_values, size, x, p
         )
 
-    def outputs(self, x: Array, p: Array) -> dict[str, Array]:
-        """Values of the named outputs, each of shape ``(items, stages)``."""
-        return {
-            output.name: self._sum([output.placement], output.items * output.stages, x, p).reshape(
-                (output.items, output.stages), order="F"
-            )
-            for output in self.program.outputs.values()
-        }
-
     @staticmethod
     def _sum(placements: Iterable[Placement], size: int, x: Array, p: Array) -> Array:
         total = np.zeros(size)

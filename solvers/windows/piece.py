@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from solvers.program import Array, Index, Instance
+from solvers.program import POSITION, Array, Index, Instance
 from solvers.windows.seam import Seam
 from solvers.windows.window import Window
 
@@ -76,7 +76,7 @@ class Piece:
         staged, span, seam = window.staged, window.span, None
         if span.end < staged.stages:
             seam = Seam.after(staged, span.end - 1, instance).inside(window)
-        joint = np.zeros(0, dtype=np.intp)
+        joint = np.zeros(0, dtype=POSITION)
         if span.begin > span.first:
             joint = window.position(staged.touched(span.begin - 1))
         variables, rows, cones = window.own

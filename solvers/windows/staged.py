@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from solvers.errors import UnsupportedProgramError
-from solvers.program import Block, Cone, Index, Instance, Placement, Program
+from solvers.program import POSITION, Block, Cone, Index, Instance, Placement, Program
 
 __all__ = ["Ordered", "Staged"]
 
@@ -79,8 +79,8 @@ class Staged:
     def touched(self, stage: int) -> Index:
         """Return the variables of a stage that rows and costs of the next one contain, in their order."""
         if stage + 1 >= self.stages:
-            return np.zeros(0, dtype=np.intp)
-        found = [np.zeros(0, dtype=np.intp)]
+            return np.zeros(0, dtype=POSITION)
+        found = [np.zeros(0, dtype=POSITION)]
         for ordered in (*self.constraints, *self.costs):
             used = np.unique(ordered.between(stage + 1, stage + 2).variables)
             found.append(used[self._stage[used] == stage])

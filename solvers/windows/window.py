@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from solvers.program import Array, Block, Cone, Index, Instance, Placement, Program
+from solvers.program import POSITION, Array, Block, Cone, Index, Instance, Placement, Program
 from solvers.template import Template
 from solvers.windows.staged import Ordered, Staged
 
@@ -60,7 +60,7 @@ class Window:
     def __init__(self, staged: Staged, span: Span) -> None:
         self.staged = staged
         self.span = span
-        self.before = staged.touched(span.first - 1) if span.first else np.zeros(0, dtype=np.intp)
+        self.before = staged.touched(span.first - 1) if span.first else np.zeros(0, dtype=POSITION)
         self.behind = staged.touched(span.last - 1)
         program, first, last = staged.program, span.first, span.last
         self.variables = _positions(program.variables, staged.variables, first, last)
@@ -113,7 +113,7 @@ class Window:
     def _local(self) -> dict[str, list[Placement]]:
         """The placements with positions among the window's variables, rows and cone values."""
         program = self.staged.program
-        place = np.full(program.n_variables, -1, dtype=np.intp)
+        place = np.full(program.n_variables, -1, dtype=POSITION)
         place[self.before] = np.arange(self.before.size)
         place[self.variables] = self.before.size + np.arange(self.variables.size)
         targets = {
@@ -197,7 +197,7 @@ class Window:
         if self.behind.size:
             block = _block(_SEAM, 3, self.behind.size, offset)
             parameters[_SEAM] = block
-            into = np.zeros((1, self.behind.size), dtype=np.intp)
+            into = np.zeros((1, self.behind.size), dtype=POSITION)
             made["costs"].append(Placement(_seam_cost(), self._seam[None, :], block.index, into, _SEAM))
         return Program(
             name=f"{whole.name}, {span.last - span.first} stages",
@@ -218,7 +218,7 @@ class Window:
         for window in alike:
             ordered: Ordered = getattr(window.staged, kind)[number]
             at = ordered.between(window.span.first, window.span.last).parameters
-            own = whole.default.parameters[at]
+            own = whole.values[at]
             if values is None or fixed is None:
                 values, fixed = own, whole.fixed_parameters[at]
             else:
@@ -289,15 +289,15 @@ def _width(columns: Index, span: Span) -> int:
 def _positions(
     blocks: Mapping[str, Block] | Mapping[str, Cone], columns: Mapping[str, Index], first: int, last: int
 ) -> Index:
-    found = [np.zeros(0, dtype=np.intp)]
+    found = [np.zeros(0, dtype=POSITION)]
     for name, block in blocks.items():
         items = block.size // block.stages
         at = columns[name]
         found.append(np.arange(block.offset + items * at[first], block.offset + items * at[last]))
-    return np.concatenate(found).astype(np.intp)
+    return np.concatenate(found).astype(POSITION)
 
 
 def _places(positions: Index, size: int) -> Index:
-    place = np.full(size, -1, dtype=np.intp)
+    place = np.full(size, -1, dtype=POSITION)
     place[positions] = np.arange(positions.size)
     return place
