@@ -23,16 +23,19 @@ import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
+import xarray as xr
 from conftest import SCENARIOS, Call
 from filelock import FileLock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
+from opfmodel.results import load
 from opfmodel.study import (
     document,
     execution,
     provenance,
+    read_run,
     read_study,
     read_table,
     run_study,
@@ -69,6 +72,7 @@ vary:
 # 24 runs with different results.
 CASE5_GRID = f"""\
 scenario: {CASE5}
+keep: trajectories
 set: {{time.steps: 3, controller.generator_delay: 0}}
 vary:
   controller.formulation: [ac, dc]
@@ -364,6 +368,124 @@ def test_a_study_is_run_once(folder: Path) -> None:
     again = run_study(study, out, workers=0)
     assert (again.done, again.skipped, again.complete) == (0, 6, True)
     assert {path: path.stat().st_mtime_ns for path in (out / "runs").iterdir()} == made
+
+
+# Trajectories -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def kept(folder: Path) -> Path:
+    """A folder with a study of two runs that keeps trajectories, which has run."""
+    vary = "vary: {demand: {low: {}, high: {profiles: [{table: {file: other.csv}}]}}}"
+    (folder / "kept.yaml").write_text(f"scenario: tiny.yaml\nkeep: trajectories\n{vary}\n")
+    assert run_study(read_study(folder / "kept.yaml"), folder / "out", workers=0).done == 2
+    return folder
+
+
+def test_trajectories_are_those_of_the_run(kept: Path, call: Call) -> None:
+    out, rows = kept / "out", read_table(kept / "out")
+    for row, demand in zip(rows, ([10, 20], [10, 25]), strict=True):
+        data = read_run(out, {"demand": row["demand"]})
+        assert data["pg"].values[:, 0] == pytest.approx(demand)
+        assert data.attrs["cost"] == row["cost"]
+        xr.testing.assert_identical(data, read_run(out, row["key"]))
+    code, printed, _ = call("run", kept / "tiny.yaml", "--out", kept / "alone", "--json")
+    assert code == 0
+    summary = json.loads((out / "runs" / rows[0]["key"] / "summary.json").read_text())
+    assert summary.keys() == json.loads(printed).keys()
+    timed = ["solve_seconds"]
+    xr.testing.assert_identical(
+        load(kept / "alone").drop_vars(timed), read_run(out, rows[0]["key"]).drop_vars(timed)
+    )
+    code, printed, _ = call("plot", out / "runs" / rows[0]["key"], "--paper", "--json")
+    assert code == 0
+    assert all(Path(path).exists() for path in json.loads(printed)["figures"])
+
+
+def _delete(folders: list[Path]) -> None:
+    (folders[0] / "trajectories.nc").unlink()
+
+
+def _shorten(folders: list[Path]) -> None:
+    path = folders[0] / "trajectories.nc"
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def _swap(folders: list[Path]) -> None:
+    one, other = folders
+    one.rename(one.with_name("aside"))
+    other.rename(one)
+    one.with_name("aside").rename(other)
+
+
+@pytest.mark.parametrize(("damage", "repeated"), [(_delete, 1), (_shorten, 1), (_swap, 2)])
+def test_a_run_without_its_trajectories_is_repeated(damage: Any, repeated: int, kept: Path) -> None:
+    study, out = read_study(kept / "kept.yaml"), kept / "out"
+    before = {row["key"]: read_run(out, row["key"])["pg"] for row in read_table(out)}
+    folders = [out / "runs" / key for key in before]
+    damage(folders)
+    (folders[0] / ".trajectories.nc.4711").write_text("left by a killed process")
+    with pytest.raises(ResultError, match=f"{folders[0].name}: .* missing or damaged; .*repeats the run"):
+        read_run(out, folders[0].name)
+    again = run_study(study, out, workers=0)
+    assert (again.done, again.skipped) == (repeated, 2 - repeated)
+    assert all(read_run(out, key)["pg"].identical(pg) for key, pg in before.items())
+    assert sorted(path.name for path in folders[0].iterdir()) == ["summary.json", "trajectories.nc"]
+    assert run_study(study, out, workers=0).skipped == 2
+
+
+def test_a_study_keeps_trajectories_from_the_next_start_on(kept: Path) -> None:
+    out, with_them = kept / "out", kept / "kept.yaml"
+    without = kept / "without.yaml"
+    without.write_text(with_them.read_text().replace("keep: trajectories", "keep: figures"))
+    assert keys(without) == keys(with_them)
+    assert run_study(read_study(without), out, workers=0).skipped == 2
+    assert run_study(read_study(without), out, workers=0, retry="all").done == 2
+    assert not list((out / "runs").glob("*/*"))  # of the earlier records
+    with pytest.raises(ResultError, match=r"kept no trajectories; with 'keep: trajectories' .* repeats it"):
+        read_run(out, {"demand": "low"})
+    assert run_study(read_study(with_them), out, workers=0).done == 2
+    assert read_run(out, {"demand": "low"}).sizes["time"] == 2
+
+
+def test_a_run_without_steps_keeps_none_and_is_not_repeated(folder: Path) -> None:
+    (folder / "tiny.yaml").write_text(TINY.replace("p: [0, 100]", "p: [0, 5]"))
+    (folder / "study.yaml").write_text("scenario: tiny.yaml\nkeep: trajectories\n")
+    study, out = read_study(folder / "study.yaml"), folder / "out"
+    assert run_study(study, out, workers=0).failed == 1
+    made = next((out / "runs").glob("*.json")).stat().st_mtime_ns
+    assert run_study(study, out, workers=0).failed == 1
+    assert next((out / "runs").glob("*.json")).stat().st_mtime_ns == made
+    with pytest.raises(ResultError, match="completed no step"):
+        read_run(out, {})
+
+
+@pytest.mark.parametrize(
+    ("run", "message"),
+    [
+        ({}, "2 runs fit"),
+        ({"demand": "mid"}, "no run fits"),
+        ({"town": 1}, "no run fits"),
+        ("0" * 32, "no run"),
+    ],
+)
+def test_a_run_is_named_by_its_key_or_its_point(run: Any, message: str, kept: Path) -> None:
+    with pytest.raises(ResultError, match=f"{message}.*; give a key or points on the axes: demand"):
+        read_run(kept / "out", run)
+
+
+def test_no_trajectories_are_written_through_a_link(kept: Path) -> None:
+    out, far = kept / "out", kept / "far"
+    linked = out / "runs" / read_table(out)[0]["key"]
+    linked.rename(far)
+    linked.symlink_to(far)
+    (far / "trajectories.nc").write_text("text")
+    with pytest.raises(ResultError, match="is a symbolic link; must be a folder"):
+        run_study(read_study(kept / "kept.yaml"), out, workers=0)
+    assert (far / "trajectories.nc").read_text() == "text"
+
+
+# Repetition -------------------------------------------------------------------------------------
 
 
 def test_a_changed_data_file_repeats_its_runs(folder: Path) -> None:
@@ -1033,6 +1155,7 @@ def test_killed_processes_lose_no_finished_run(
         if (out / "study.json").exists():
             done = [row for row in figures(read_table(out)) if row["status"] != "waiting"]
             assert all(row in expected for row in done)
+            assert all(read_run(out, row["key"]).attrs["cost"] == row["cost"] for row in done)
             resumed += 0 < len(done) < 24
             if len(done) == 24:
                 assert done == expected
@@ -1227,6 +1350,10 @@ def test_a_running_scheduler_with_two_workers_reproduces_the_serial_results(
     processes = {row["provenance_process"] for row in read_table(tmp_path / "out")}
     assert len(processes) == 2
     assert not processes & {os.getpid()}
+    for row in expected:
+        here, there = (read_run(out, row["key"]) for out in (study.parent / "out", tmp_path / "out"))
+        timed = ["solve_seconds"]
+        xr.testing.assert_identical(here.drop_vars(timed), there.drop_vars(timed))
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -30,9 +30,9 @@ def run(
 
     Writes trajectories, a summary and a figure to the results folder.
     """
-    from opfmodel.check import check
     from opfmodel.results import save
     from opfmodel.results.figures import save_figures
+    from opfmodel.scenario.results import results_of
 
     check_on_infeasible(on_infeasible)
     changes = (
@@ -43,18 +43,7 @@ def run(
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
     with solver_output(verbose):
         done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose)
-    report = None
-    if done.steps:
-        report = check(loaded.network, done.data, done.problem.profiles, previous_pg=done.previous_pg)
-    summary: dict[str, Any] = {
-        "scenario": loaded.name,
-        **done.summary(),
-        "currency": loaded.network.currency,
-        "max_violation": None if report is None else report.max_violation,
-        "violations": {} if report is None else report.as_dict(),
-        "unchecked": [] if report is None else list(report.unchecked),
-    }
-    data = done.data.assign_attrs(scenario=loaded.name) if done.steps else None
+    data, summary, report = results_of(loaded, done)
     summary = save(data, summary, folder)
     if figures and data is not None:
         save_figures(data, folder, figures=["system"])

@@ -21,7 +21,9 @@ from opfmodel.results.validity import check_trajectories
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["finite", "load", "make_folder", "save", "write_record"]
+__all__ = ["Files", "digest", "finite", "load", "make_folder", "packed", "save", "unpack", "write_record"]
+
+Files = Mapping[str, bytes]
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
@@ -61,19 +63,46 @@ def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -
     ResultError
         The folder cannot be created or written.
     """
-    trajectories, file = folder / _DATA, folder / _SUMMARY
-    saved, contents = dict(summary), {}
-    if data is not None:
-        contents[trajectories] = _netcdf(data)
-        saved[_DIGEST] = hashlib.sha256(contents[trajectories]).hexdigest()
-    contents[file] = (json.dumps(finite(saved), indent=2, allow_nan=False) + "\n").encode()
+    files, saved = packed(data, summary)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # the summary goes first and comes last: a process that is killed leaves none rather than a wrong one
-        replace(contents, obsolete=[file, trajectories, *figure_paths(folder)])
+        unpack(files, folder)
     except OSError as error:
         raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
     return saved
+
+
+def packed(data: xr.Dataset | None, summary: Mapping[str, object]) -> tuple[Files, dict[str, object]]:
+    """Return the files that :func:`save` writes, by name, and the summary with its checksum."""
+    saved, files = dict(summary), {}
+    if data is not None:
+        files[_DATA] = _netcdf(data)
+        saved[_DIGEST] = hashlib.sha256(files[_DATA]).hexdigest()
+    files[_SUMMARY] = (json.dumps(finite(saved), indent=2, allow_nan=False) + "\n").encode()
+    return files, saved
+
+
+def unpack(files: Files, folder: Path) -> None:
+    """Write the files of a run to a folder; without any, those of an earlier run are deleted.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be created or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # the summary goes first and comes last: a process that is killed leaves none rather than a wrong one
+    obsolete = [folder / _SUMMARY, folder / _DATA, *figure_paths(folder)]
+    replace({folder / name: content for name, content in files.items()}, obsolete)
+
+
+def digest(folder: Path) -> str | None:
+    """Return the SHA-256 of the trajectories in a folder; None if there are none that can be read."""
+    path = folder / _DATA
+    try:
+        check_file(path, ResultError, most_bytes=sys.maxsize)
+        return _digest(path)
+    except (ResultError, OSError):
+        return None
 
 
 def make_folder(folder: Path) -> None:

@@ -7,7 +7,7 @@ from opfmodel.study.document import Axis, Study, read_study
 from opfmodel.study.execution import Record, execute
 from opfmodel.study.runner import Outcome, run_study
 from opfmodel.study.specification import Specification
-from opfmodel.study.store import read_table, shown_columns
+from opfmodel.study.store import read_run, read_table, shown_columns
 
 __all__ = [
     "Axis",
@@ -16,6 +16,7 @@ __all__ = [
     "Specification",
     "Study",
     "execute",
+    "read_run",
     "read_study",
     "read_table",
     "run_study",

@@ -9,7 +9,7 @@ from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -23,6 +23,7 @@ __all__ = ["Axis", "Study", "StudyFile", "Variation", "read_study"]
 Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
 Keys = tuple[str, ...]
+Keep = Literal["figures", "trajectories"]
 
 _MOST_RUNS = 100_000  # each run has a record and a row
 
@@ -45,6 +46,11 @@ class StudyFile(BaseModel):
     set: dict[str, Any] = Field(
         default_factory=dict,
         description="dotted keys of the scenario, the same in every run unless an axis sets them",
+    )
+    keep: Keep = Field(
+        "figures",
+        description="what is kept of every run: the figures of its row in the table, or its trajectories as "
+        "well, as 'opfmodel run' writes them",
     )
     vary: dict[str, Any] = Field(
         default_factory=dict,
@@ -103,12 +109,15 @@ class Study:
     ----------
     base
         Keys set in every run unless an axis overrides them.
+    keep
+        Whether ``figures`` are kept of every run, or ``trajectories`` as well.
     """
 
     name: str
     path: Path
     base: Changes
     axes: tuple[Axis, ...]
+    keep: Keep = "figures"
 
     def __len__(self) -> int:
         """Number of runs."""
@@ -171,7 +180,7 @@ def read_study(path: str | Path) -> Study:
         faults.add(document.fault(("vary",), message))
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
-    study = Study(name, document.path, base, axes)
+    study = Study(name, document.path, base, axes, file.keep)
     faults.settle()
     _Trial(document, study).check()
     faults.settle()

@@ -9,16 +9,20 @@ import time
 import traceback
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from opfmodel.errors import CaseWarning, OpfmodelError, ProfileWarning, StudyError
+from opfmodel.results.store import Files, packed
 from opfmodel.study.provenance import machine, versions
 from opfmodel.study.specification import Specification
 from solvers import SolverError
+
+if TYPE_CHECKING:
+    from opfmodel.scenario.results import Results
 
 __all__ = ["Record", "execute", "failure"]
 
@@ -39,12 +43,16 @@ class Record:
         Durations in seconds; names begin with ``time_``.
     provenance
         Where, when and with what the run was made; names begin with ``provenance_``.
+    files
+        Files of the run by name, see :func:`opfmodel.results.store.packed`; empty unless it keeps
+        trajectories, and when a record is read.
     """
 
     key: str
     result: Mapping[str, Any]
     times: Mapping[str, float]
     provenance: Mapping[str, Any]
+    files: Files = field(default_factory=dict, repr=False)
 
     @property
     def failed(self) -> bool:
@@ -68,7 +76,7 @@ def execute(specification: Specification) -> Record:
     began = time.perf_counter()
     with _ONE_AT_A_TIME:
         try:
-            figures = _figures(specification)
+            figures, files = _figures(specification)
         except (Exception, SystemExit) as error:  # plugins may raise anything; the study continues
             return failure(specification, error, time.perf_counter() - began)
     times = {f"time_{name}": value for name, value in figures.items() if "seconds" in name}
@@ -78,6 +86,7 @@ def execute(specification: Specification) -> Record:
         result,
         {**times, "time_total_seconds": time.perf_counter() - began},
         _provenance(specification),
+        files,
     )
 
 
@@ -95,9 +104,10 @@ def failure(specification: Specification, error: BaseException, seconds: float |
     )
 
 
-def _figures(specification: Specification) -> dict[str, Any]:
-    from opfmodel.check import check
+def _figures(specification: Specification) -> tuple[dict[str, Any], Files]:
+    """Return the figures of a run, and its files if the study keeps them."""
     from opfmodel.scenario import load_scenario
+    from opfmodel.scenario.results import results_of
 
     _same_versions(specification)
     inputs = specification.inputs
@@ -112,15 +122,23 @@ def _figures(specification: Specification) -> dict[str, Any]:
             raise OpfmodelError(str(error).replace(str(copy), str(inputs.root))) from error
     if run.interrupted:
         raise KeyboardInterrupt
+    results = results_of(scenario, run)
     figures = _flat(run.summary())
     counted = [plan["iterations"] for plan in run.plans if plan["iterations"] is not None]
     figures["iterations"] = sum(counted) if counted else None
     figures["error"] = None if run.status == "done" else f"{run.status}: {run.termination}"
-    if run.steps:
-        report = check(scenario.network, run.data, run.problem.profiles, previous_pg=run.previous_pg)
-        figures["max_violation"] = report.max_violation
-        figures["unchecked"] = ", ".join(report.unchecked) or None
-    return figures
+    if results.report is not None:
+        figures["max_violation"] = results.report.max_violation
+        figures["unchecked"] = ", ".join(results.report.unchecked) or None
+    return figures, _files(results) if specification.keeps_trajectories else {}
+
+
+def _files(results: Results) -> Files:
+    import dask
+
+    # on a worker, xarray would lock the file across the cluster, which fails for a file in memory
+    with dask.config.set(scheduler="synchronous"):
+        return packed(results.data, results.summary)[0]
 
 
 def _same_versions(specification: Specification) -> None:

@@ -125,7 +125,7 @@ def run_study(
         there, faults = store.records(run.key for run in runs)
         notes = _notes(store.index_fault(), faults)
         store.begin(runs, {**_about(study), "options": options})
-        missing = _missing(runs, there, retry)
+        missing = _missing(runs, store, there, retry)
         made: set[str] = set()
         interrupted = False
         shown = live(study.name, len(missing)) if progress and missing else nullcontext(Watcher())
@@ -157,13 +157,14 @@ def _notes(index_fault: str | None, faults: list[str]) -> list[str]:
 
 
 def _missing(
-    runs: list[Specification], records: Mapping[str, Record], retry: str | None
+    runs: list[Specification], store: Store, records: Mapping[str, Record], retry: str | None
 ) -> list[Specification]:
-    """Return the runs to execute, each key once."""
+    """Return the runs to execute, each key once: those without a record, or without what is to be kept."""
     missing = []
     for key, run in {run.key: run for run in runs}.items():
         record = records.get(key)
-        if record is None or retry == "all" or (retry == "failed" and record.failed):
+        known = record is not None and not (run.keeps_trajectories and not store.keeps(record))
+        if record is None or not known or retry == "all" or (retry == "failed" and record.failed):
             missing.append(run)
     return missing
 

@@ -80,6 +80,8 @@ class Specification:
         Keys of the scenario with variant and overrides applied.
     versions
         Versions of the packages that affect the result.
+    keeps_trajectories
+        Whether the record has the trajectories of the run; not part of the key.
     """
 
     labels: Mapping[str, Any]
@@ -88,6 +90,7 @@ class Specification:
     content: Mapping[str, Any]
     inputs: Inputs
     versions: Mapping[str, str]
+    keeps_trajectories: bool = False
 
     @cached_property
     def key(self) -> str:
@@ -109,13 +112,14 @@ class Snapshot:
 
     def specifications(self, study: Study) -> list[Specification]:
         """Return the runs of a study in the order of its grid."""
-        return [self._specification(variation) for variation in study.variations()]
+        keeps = study.keep == "trajectories"
+        return [self._specification(variation, keeps) for variation in study.variations()]
 
     def changed(self) -> list[Path]:
         """Return the files that have changed since they were read."""
         return [path for path, content in self._files.items() if not _holds(path, content)]
 
-    def _specification(self, variation: Variation) -> Specification:
+    def _specification(self, variation: Variation, keeps_trajectories: bool) -> Specification:
         path = variation.scenario
         if path not in self._documents:
             before = self._file(path)
@@ -135,6 +139,7 @@ class Snapshot:
             content=content,
             inputs=self._inputs(document, content),
             versions=versions(),
+            keeps_trajectories=keeps_trajectories,
         )
 
     def _inputs(self, document: Document, content: Mapping[str, Any]) -> Inputs:

@@ -3,6 +3,7 @@
 =====================  =========================================================================
 ``study.json``         the runs of the study as last started: keys and labels
 ``runs/KEY.json``      the record of one run
+``runs/KEY/``          its trajectories and summary, if the study keeps trajectories
 ``results.parquet``    the table: a row per run
 ``lock``               held by the writing process; the operating system releases it
 =====================  =========================================================================
@@ -21,12 +22,13 @@ import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.writing import remove_temporaries, replace
-from opfmodel.errors import ResultError, ResultWarning, StudyError, nearest, shown
+from opfmodel.errors import ResultError, ResultWarning, StudyError, listed, nearest, shown
+from opfmodel.results.store import digest, load, unpack
 from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
@@ -34,13 +36,16 @@ from opfmodel.study.specification import Specification
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import xarray as xr
 
-__all__ = ["Store", "read_table", "shown_columns", "untrusted"]
+__all__ = ["Store", "read_run", "read_table", "shown_columns", "untrusted"]
 
 Row = dict[str, Any]
 
 _FILES = re.compile(r"study\.json|results\.parquet")
 _RECORDS = re.compile(r"[0-9a-f]{32}\.json")
+_KEPT = re.compile(r"trajectories\.nc|summary\.json")
+_DIGEST = "provenance_trajectories_sha256"
 
 _MOST_NAMED = 10
 
@@ -108,14 +113,54 @@ class Store:
         self._write(self._index, {**about, "runs": rows})
 
     def write(self, record: Record) -> None:
-        """Write the record of a run.
+        """Write the record of a run, after its files, if any; those of an earlier record are deleted.
 
         Raises
         ------
         ResultError
             It cannot be written, for instance because the disk is full.
         """
-        self._write(self._record(record.key), asdict(record))
+        folder, provenance = self._files(record.key), dict(record.provenance)
+        with self._writing(folder):
+            if record.files or os.path.lexists(folder):
+                if folder.is_symlink():
+                    raise ResultError(f"{folder}: is a symbolic link; must be a folder")
+                folder.mkdir(exist_ok=True)
+                remove_temporaries(folder, _KEPT)
+                unpack(record.files, folder)
+        if record.files:
+            provenance[_DIGEST] = digest(folder)
+        parts = {"result": record.result, "times": record.times, "provenance": provenance}
+        self._write(self._record(record.key), {"key": record.key, **parts})
+
+    def keeps(self, record: Record) -> bool:
+        """Whether the trajectories of a recorded run are there and undamaged; one without steps has none."""
+        known = record.provenance.get(_DIGEST)
+        return not record.result.get("steps") or (
+            known is not None and known == digest(self._files(record.key))
+        )
+
+    def trajectories(self, record: Record) -> xr.Dataset:
+        """Return the trajectories of a recorded run.
+
+        Raises
+        ------
+        ResultError
+            There are none, or they are damaged.
+        """
+        folder = self._files(record.key)
+        if not record.result.get("steps"):
+            raise ResultError(f"{self._record(record.key)}: the run completed no step")
+        if _DIGEST not in record.provenance:
+            raise ResultError(
+                f"{folder}: the run kept no trajectories; with 'keep: trajectories' in the study, "
+                "'opfmodel study run' repeats it"
+            )
+        if not self.keeps(record):
+            raise ResultError(
+                f"{folder}: the trajectories are missing or damaged; 'opfmodel study run' repeats the run"
+            )
+        return load(folder)
 
     def read(self, key: str) -> Record | None:
         """Return the record of a run, or None if there is none.
@@ -131,10 +176,9 @@ class Store:
         content = unsealed(path)
         if content.get("key") != key:
             raise ResultError(f"{path}: the key inside does not match the file name")
-        try:
-            record = Record(**content)
-        except TypeError as error:
-            raise ResultError(f"{path}: not the record of a run: {error}") from error
+        if content.keys() != {"key", "result", "times", "provenance"}:
+            raise ResultError(f"{path}: not the record of a run: it has {', '.join(content)}")
+        record = Record(**content)
         for name, part in (
             ("result", record.result),
             ("times", record.times),
@@ -237,6 +281,9 @@ class Store:
     def _record(self, key: str) -> Path:
         return self._runs / f"{key}.json"
 
+    def _files(self, key: str) -> Path:
+        return self._runs / key
+
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
         text = sealed(content)
         with self._writing(path):
@@ -290,6 +337,43 @@ def read_table(folder: str | Path) -> list[Row]:
     if faults:
         warnings.warn(f"{untrusted(faults)}; their runs are shown as waiting", ResultWarning, stacklevel=2)
     return rows
+
+
+def read_run(folder: str | Path, run: str | Mapping[str, Any]) -> xr.Dataset:
+    """Return the trajectories of one run of a study that keeps them.
+
+    Parameters
+    ----------
+    run
+        Its key, as in the column ``key`` of the table, or its points on the axes that tell it apart from
+        the other runs: ``{"controller.horizon": 12, "timing": "paper"}``.
+
+    Raises
+    ------
+    ResultError
+        No run or several runs fit, or the trajectories are missing or damaged.
+    """
+    store = Store(Path(folder))
+    runs = store.runs()
+    found = dict.fromkeys(key for labels, key in runs if _fits(run, labels, key))
+    if len(found) != 1:
+        axes = listed(dict.fromkeys(name for labels, _ in runs for name in labels)) or "none"
+        fits = f"{len(found)} runs fit" if found else "no run fits"
+        raise ResultError(f"{folder}: {shown(run)}: {fits}; give a key or points on the axes: {axes}")
+    record = store.read(next(iter(found)))
+    if record is None:
+        raise ResultError(f"{folder}: {shown(run)}: has not run yet")
+    return store.trajectories(record)
+
+
+def _fits(run: str | Mapping[str, Any], labels: Mapping[str, Any], key: str) -> bool:
+    """Whether a key or points on some axes are those of a run; 1 is not True."""
+    if isinstance(run, str):
+        return run == key
+    return all(
+        name in labels and labels[name] == label and isinstance(labels[name], bool) == isinstance(label, bool)
+        for name, label in run.items()
+    )
 
 
 def untrusted(faults: Sequence[str]) -> str:
