@@ -9,6 +9,7 @@ import re
 import resource
 import shutil
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -32,6 +33,7 @@ from hypothesis import strategies as st
 from opfmodel.errors import ResultError, ResultWarning, ScenarioError, StudyError
 from opfmodel.results import load
 from opfmodel.study import (
+    aggregate,
     document,
     execution,
     provenance,
@@ -939,6 +941,109 @@ def test_the_file_monitor_of_a_repository_does_not_run(tmp_path: Path) -> None:
 def test_invalid_options_are_rejected(options: dict[str, Any], folder: Path) -> None:
     with pytest.raises(StudyError, match=r"workers|memory = |scheduler = "):
         run_study(read_study(folder / "study.yaml"), folder / "out", **options)
+
+
+# The table --------------------------------------------------------------------------------------
+
+
+def seeded(costs: list[float | None], seeds: int = 3) -> list[dict[str, Any]]:
+    """The table of a study of two horizons and some seeds; None is the cost of a failed run."""
+    points = [(horizon, seed) for horizon in (6, 12) for seed in range(seeds)]
+    return [
+        {
+            "controller.horizon": horizon,
+            "forecast.noisy.seed": seed,
+            "controller.end.price": 5.0,
+            "key": f"{number:032x}",
+            "status": "stopped" if cost is None else "done",
+            "error": "stopped: no plan" if cost is None else None,
+            "cost": cost,
+            "iterations": None,
+            "time_total_seconds": 2.0,
+        }
+        for number, ((horizon, seed), cost) in enumerate(zip(points, costs, strict=True))
+    ]
+
+
+@given(
+    costs=st.lists(st.none() | st.floats(-1e6, 1e6), min_size=2, max_size=40).filter(
+        lambda c: len(c) % 2 == 0
+    )
+)
+def test_statistics_are_those_of_the_standard_library(costs: list[float | None]) -> None:
+    groups = aggregate(seeded(costs, len(costs) // 2), "seed")
+    assert [group.labels["controller.horizon"] for group in groups] == [6, 12]
+    for group, half in zip(groups, (costs[: len(costs) // 2], costs[len(costs) // 2 :]), strict=True):
+        known = sorted(cost for cost in half if cost is not None)
+        assert (group.done, len(group.failed), group.waiting) == (len(known), half.count(None), 0)
+        assert "iterations" not in group.figures  # no run has any
+        if not known:
+            assert not group.figures
+            continue
+        found = group.figures["cost"]
+        assert found.runs == len(known)
+        assert found.mean == pytest.approx(statistics.fmean(known), rel=1e-9, abs=1e-6)
+        assert found.q50 == pytest.approx(statistics.median(known), rel=1e-9, abs=1e-6)
+        if len(known) == 1:
+            assert found.deviation is None
+            assert found.q05 == found.q95 == known[0]
+        else:
+            assert found.deviation == pytest.approx(statistics.stdev(known), rel=1e-6, abs=1e-6)
+            cuts = statistics.quantiles(known, n=20, method="inclusive")
+            assert (found.q05, found.q95) == pytest.approx((cuts[0], cuts[-1]), rel=1e-9, abs=1e-6)
+
+
+def test_failed_runs_are_named_and_left_out() -> None:
+    rows = seeded([1.0, None, 3.0, None, None, None])
+    one, other = aggregate(rows, ["forecast.noisy.seed"])
+    assert (one.done, other.done, other.figures) == (2, 0, {})
+    assert one.figures["cost"].mean == 2.0
+    assert one.failed == {
+        "controller.horizon=6 forecast.noisy.seed=1 controller.end.price=5.0": "stopped: no plan"
+    }
+    (whole,) = aggregate(rows, ["seed", "horizon"])
+    assert (whole.labels, whole.done, len(whole.failed)) == ({"controller.end.price": 5.0}, 2, 4)
+
+
+def test_a_table_shows_what_varies_and_the_main_figures() -> None:
+    rows = seeded([1.0] * 6)
+    assert shown_columns(rows) == [
+        "controller.horizon", "forecast.noisy.seed", "status", "cost", "time_total_seconds",
+    ]  # fmt: skip
+    assert shown_columns(seeded([1.0] * 5 + [None]))[-1] == "error"
+    assert shown_columns(rows, every=True) == [n for n in rows[0] if n not in ("error", "iterations")]
+    assert shown_columns(rows, ["error"]) == ["error"]
+
+
+def test_a_study_is_tabulated_over_an_axis(folder: Path, call: Call) -> None:
+    units = "{large: {}, small: {network.generators.unit.p: [0, 15]}}"  # the demand is 10, then 20 MW
+    (folder / "study.yaml").write_text(
+        f"scenario: tiny.yaml\nvary:\n  controller.horizon: [1, 2]\n  unit: {units}\n"
+    )
+    assert run_study(read_study(folder / "study.yaml"), folder / "out", workers=0).failed == 2
+    code, out, err = call("study", "table", folder / "out", "--over", "unit", "--column", "cost")
+    assert code == 0
+    lines = [line.split() for line in out.splitlines()]
+    assert lines[0][:4] == ["controller.horizon", "figure", "runs", "mean"]
+    assert [line[:6] for line in lines[1:]] == [[n, "cost", "1", "of", "2", "600"] for n in "12"]
+    assert [line.split(" unit=")[0] for line in err.splitlines()] == [
+        f"failed: controller.horizon={n}" for n in "12"
+    ]
+    code, out, _ = call("study", "table", folder / "out", "--over", "horizon", "--json")
+    printed = json.loads(out)
+    assert (code, printed["over"]) == (0, ["horizon"])
+    large, small = printed["groups"]
+    assert (large["labels"], large["done"], large["failed"]) == ({"unit": "large"}, 2, {})
+    assert large["figures"]["cost"]["mean"] == pytest.approx(600)
+    assert (small["done"], small["figures"], len(small["failed"])) == (0, {}, 2)
+    for options, said in (
+        (("--over", "unt"), "did you mean 'unit'"),
+        (("--over", "seed"), "no axis 'seed'; axes: controller.horizon, unit"),
+        (("--over", "unit", "--column", "status"), "column 'status' has no numbers"),
+    ):
+        code, _, err = call("study", "table", folder / "out", *options)
+        assert code == 2
+        assert said in err
 
 
 # The command and its interruptions ----------------------------------------------------------------

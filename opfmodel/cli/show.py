@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from opfmodel.plan.commitment import Commitment
     from opfmodel.plugins.catalogue import Entry
     from opfmodel.simulation import Run
-    from opfmodel.study import Outcome
+    from opfmodel.study import Group, Outcome
     from opfmodel.study.comparison import Comparison
 
-__all__ = ["comparisons", "entries", "plan", "run", "study_outcome", "study_table"]
+__all__ = ["comparisons", "entries", "plan", "run", "study_outcome", "study_statistics", "study_table"]
 
 _TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
 _ELASTIC = "hint: --on-infeasible elastic reports which limits cannot be met, where and when"
@@ -147,6 +147,26 @@ def study_outcome(name: str, outcome: Outcome) -> None:
 def study_table(rows: list[dict[str, Any]], columns: list[str]) -> None:
     """Print selected columns of the table of a study."""
     print_table(columns, [[_cell(row.get(name)) for name in columns] for row in rows])
+
+
+def study_statistics(groups: list[Group], columns: list[str]) -> None:
+    """Print a line per group of runs and figure, and which runs failed."""
+    axes = [name for name in groups[0].labels if len({repr(group.labels[name]) for group in groups}) > 1]
+    lines = []
+    for group in groups:
+        runs = group.done + len(group.failed) + group.waiting
+        point = [_cell(group.labels[name]) for name in axes]
+        for name in columns:
+            if found := group.figures.get(name):
+                numbers = (found.mean, found.deviation, found.q05, found.q50, found.q95)
+                count = f"{found.runs}" if found.runs == runs else f"{found.runs} of {runs}"
+                lines.append([*point, name, count, *map(_cell, numbers)])
+        if not group.done:
+            lines.append([*point, "", f"0 of {runs}", *[""] * 5])
+    print_table([*axes, "figure", "runs", "mean", "deviation", "5 %", "50 %", "95 %"], lines)
+    for group in groups:
+        for failed, error in group.failed.items():
+            remark(f"failed: {failed}: {error}")
 
 
 def _diagnosis(sentences: list[str], label: str = "diagnosis") -> None:

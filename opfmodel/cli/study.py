@@ -66,16 +66,28 @@ def run(
 def table(
     folder: Annotated[Path, typer.Argument(help="Results folder of a study.")],
     column: Annotated[
-        list[str] | None, typer.Option(help="Column to print; repeatable. All results by default.")
+        list[str] | None, typer.Option(help="Column to print; repeatable. The main results by default.")
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Print all columns.")] = False,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(help="Axis over which to print mean, deviation and quantiles; repeatable."),
     ] = None,
     json_: JSON = False,
 ) -> int:
     """Print the results of a study, finished or not."""
-    from opfmodel.study import read_table, shown_columns
+    from opfmodel.study import aggregate, read_table, shown_columns
 
     rows = read_table(folder)
-    if json_:
+    columns = shown_columns(rows, column, every=every)
+    if over:
+        groups = aggregate(rows, over, column)
+        if json_:
+            print_json({"over": over, "groups": [group.as_dict() for group in groups]})
+        else:
+            show.study_statistics(groups, columns)
+    elif json_:
         print_json({"rows": rows})
     else:
-        show.study_table(rows, shown_columns(rows, column))
+        show.study_table(rows, columns)
     return 0

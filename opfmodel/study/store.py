@@ -27,9 +27,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.writing import remove_temporaries, replace
-from opfmodel.errors import ResultError, ResultWarning, StudyError, listed, nearest, shown
+from opfmodel.errors import ResultError, ResultWarning, StudyError, listed, shown
 from opfmodel.results.store import digest, load, unpack
-from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.execution import Record
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Specification
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import xarray as xr
 
-__all__ = ["Store", "read_run", "read_table", "shown_columns", "untrusted"]
+__all__ = ["Store", "read_run", "read_table", "untrusted"]
 
 Row = dict[str, Any]
 
@@ -51,14 +50,6 @@ _MOST_NAMED = 10
 
 # First columns after the axes; present even before any run has finished.
 _COLUMNS = ("key", "status", "termination", "error", "cost", "steps", "max_violation", "iterations")
-
-# Columns that finished runs may add.
-_LATER = (
-    *("unchecked", "retries", "diagnosis", "iterations_mean", "elastic_steps"),
-    *("redispatched_mwh", "shed_mwh", "curtailed_mwh", "violated_steps", "unsolved_steps"),
-    *(f"largest_{name}" for name in DESCRIBED if name.endswith("_excess")),
-    *("time_build_seconds", "time_solve_seconds_mean", "time_solve_seconds_max", "time_total_seconds"),
-)
 
 
 @dataclass(frozen=True)
@@ -381,31 +372,6 @@ def untrusted(faults: Sequence[str]) -> str:
     more = len(faults) - _MOST_NAMED
     named = "; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
     return f"{len(faults)} record{'s' * (len(faults) > 1)} cannot be trusted ({named})"
-
-
-def shown_columns(rows: Sequence[Row], wanted: Sequence[str] | None = None) -> list[str]:
-    """Return the requested columns; by default the axes and the figures that any run has.
-
-    Raises
-    ------
-    ResultError
-        The table has no such column, and will not have it after the runs that are waiting.
-    """
-    names = list(rows[0])
-    known = {*names, *_LATER} if any(row["status"] == "waiting" for row in rows) else {*names}
-    for name in wanted or ():
-        if name not in known:
-            raise ResultError(f"the table has no column {name!r}; {nearest(name, known)}")
-    if wanted:
-        return list(wanted)
-    aside = ("key", "termination", "diagnosis")
-    return [
-        name
-        for name in names
-        if name not in aside
-        and not name.startswith(("time_", "provenance_"))
-        and any(row[name] is not None for row in rows)
-    ]
 
 
 def _is_run(run: object) -> bool:
