@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -16,11 +17,22 @@ from hypothesis import settings
 import opfmodel as om
 from opfmodel import cli
 
+os.environ.setdefault("NUMBA_DISABLE_JIT", "1")  # compiling pandapower takes longer than running it
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell; tests press Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile("opfmodel", deadline=None)  # machines are shared and noisy
-settings.load_profile("opfmodel")
+# Machines are shared and noisy: no deadline. Every run draws other examples.
+settings.register_profile("opfmodel", deadline=None, max_examples=20)
+settings.register_profile("thorough", deadline=None, max_examples=200)  # --hypothesis-profile thorough
+if settings.get_current_profile_name() != "thorough":
+    settings.load_profile("opfmodel")
+
+
+def examples(number: int) -> settings:
+    """Limit the examples of an expensive property; ten times as many in the profile ``thorough``."""
+    return settings(max_examples=number * settings.default.max_examples // 20)
+
 
 collect_ignore = ["plugins"]  # a distribution of its own, which test_plugins installs
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
-from hypothesis import given, settings
+from conftest import ROOT, examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -335,7 +335,7 @@ def test_the_constraints_of_the_page_are_read(tmp_path: Path) -> None:
         min_size=1,
     )
 )
-@settings(max_examples=25)
+@examples(5)
 def test_a_linear_total_is_the_sum_of_its_terms(factors: dict[str, float]) -> None:
     grid = two_units()
     grid.add("gas2", om.Generator("south", p=(0, 9), cost=om.Polynomial(0, 5, 0)))

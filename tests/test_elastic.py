@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import demand, everything, two_bus
-from hypothesis import given, settings
+from conftest import demand, everything, examples, two_bus
+from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
@@ -161,7 +161,7 @@ def test_a_rating_with_a_time_series() -> None:
     assert plan.shortages[0].worst / 100 == pytest.approx(found, rel=1e-4)
 
 
-@settings(max_examples=20)
+@examples(5)
 @given(st.lists(st.floats(1, 120), min_size=1, max_size=5))
 def test_what_is_short_is_demand_above_capacity(series: list[float]) -> None:
     problem = om.MultiStage(one_bus(60), len(series), profiles={"town.p": series})
@@ -174,7 +174,7 @@ def test_what_is_short_is_demand_above_capacity(series: list[float]) -> None:
         assert shortage.cost == pytest.approx(10_000 * short.sum(), rel=1e-3)
 
 
-@settings(max_examples=25)
+@examples(7)
 @given(
     formulation=st.sampled_from(FORMULATIONS),
     town=st.floats(-200, 300),
@@ -349,7 +349,7 @@ def test_neither_shortage_hides_the_other(formulation: str, p: float, q: float, 
     assert worst["MW"] == pytest.approx(float(plan.data["p_unserved"].max()), rel=0.01)
 
 
-@settings(max_examples=25)
+@examples(5)
 @given(p=st.floats(0, 70), q=st.floats(0, 40), formulation=st.sampled_from(["ac", "soc"]))
 def test_with_what_is_reported_the_hard_problem_is_feasible(p: float, q: float, formulation: str) -> None:
     grid = lacking(p, q)

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Call
-from hypothesis import given, settings
+from conftest import Call, examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
@@ -146,7 +146,7 @@ def test_the_scenario_without_faults_is_valid(tmp_path: Path) -> None:
 
 
 @given(plants=st.sets(st.sampled_from(PLANTS), min_size=1, max_size=12))
-@settings(max_examples=60)
+@examples(15)
 def test_every_planted_fault_is_reported_where_it_is_and_nothing_else(
     plants: set[tuple[str, str, str]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

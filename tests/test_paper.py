@@ -22,7 +22,7 @@ PROGRAM = DATA / "paper" / "reference.py"
 REFERENCE = json.loads(PROGRAM.with_name("reference.json").read_text(encoding="utf-8"))
 SYSTEMS = [
     "case5-step",
-    "case5-random",
+    pytest.param("case5-random", marks=pytest.mark.slow),
     pytest.param("case118-step", marks=pytest.mark.slow),
     pytest.param("case118-random", marks=pytest.mark.slow),
 ]

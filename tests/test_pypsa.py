@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pypsa
 import pytest
+from conftest import examples
 from hypothesis import HealthCheck, given, settings
 from pypsa_networks import difference, empty, meshed, optima, snapshots
 
@@ -150,7 +151,7 @@ def networks(draw: st.DrawFn) -> pypsa.Network:
     return n
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(examples(3), suppress_health_check=[HealthCheck.too_slow])
 @given(n=networks())
 def test_random_networks_have_the_optimum_of_pypsa_or_are_refused(n: pypsa.Network) -> None:
     if n.generators.committable.any():

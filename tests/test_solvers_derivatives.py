@@ -6,14 +6,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import demand, everything
+from conftest import demand, everything, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.plugins import plugins
 from solvers import Evaluator, Placement, Program, ProgramBuilder, largest, total
-from solvers.template import Degree
+from solvers.template import Degree, Template
 
 STEP = 1e-6
 FORMULATIONS = [n for n, p in plugins("formulation").items() if p.origin == "opfmodel"]
@@ -40,17 +40,17 @@ def placements(formulation: str) -> list[Placement]:
     return [*p.constraints, *p.costs, *p.cone_values]
 
 
-def cases() -> list[tuple[str, int]]:
-    return [(f, i) for f in FORMULATIONS for i in range(len(placements(f)))]
-
-
-@pytest.mark.parametrize(("formulation", "number"), cases(), ids=str)
+@pytest.mark.parametrize("formulation", FORMULATIONS)
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=10)
-def test_template_derivatives(formulation: str, number: int, seed: int) -> None:
-    placement = placements(formulation)[number]
-    template = placement.template
+@examples(10)
+def test_template_derivatives(formulation: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
+    for placement in placements(formulation):
+        check_template(placement.template, rng)
+
+
+def check_template(template: Template, rng: np.random.Generator) -> None:
+    """Jacobian and Hessian at a random point against differences."""
     v = rng.uniform(-1.5, 1.5, template.n_variables)
     q = rng.uniform(-1.5, 1.5, template.n_parameters)
     weights = rng.normal(size=template.n_outputs)
@@ -68,14 +68,11 @@ def test_template_derivatives(formulation: str, number: int, seed: int) -> None:
         out[template.jacobian_pattern] = np.asarray(template.jacobian(at, q)).ravel()
         return weights @ out
 
-    assert np.abs(jacobian - differences(value, v)).max(initial=0) <= 1e-6 * (
-        1 + np.abs(jacobian).max(initial=0)
-    )
-    assert np.abs(hessian - differences(slope, v)).max(initial=0) <= 1e-6 * (
-        1 + np.abs(hessian).max(initial=0)
-    )
+    for exact, approximate in ((jacobian, differences(value, v)), (hessian, differences(slope, v))):
+        error = np.abs(exact - approximate).max(initial=0)
+        assert error <= 1e-6 * (1 + np.abs(exact).max(initial=0)), template
     if template.degree <= Degree.LINEAR:
-        assert template.hessian_pattern[0].size == 0
+        assert template.hessian_pattern[0].size == 0, template
 
 
 def differences(function, at: np.ndarray) -> np.ndarray:

@@ -70,9 +70,9 @@ def _check_statements(rules: Contract, formulation: Formulation) -> None:
         rules.require(published <= stated, "states what it publishes", ", ".join(sorted(published - stated)))
 
 
-def _solved(rules: Contract, problem: MultiStage, rule: str) -> Plan:
+def _solved(rules: Contract, problem: MultiStage, rule: str, time: int = 0) -> Plan:
     with rules.rule(rule):
-        plan = problem.solve()
+        plan = problem.solve(time)
     rules.require(plan.optimal, rule, plan.termination)
     return plan
 
@@ -104,19 +104,20 @@ def _check_prices(rules: Contract, formulation: Formulation) -> None:
     grid.remove("tank")
     grid.remove("battery")
     grid.update("line", rating=None)
-
-    def plan() -> Plan:
-        problem = MultiStage(grid, 1, step, formulation=formulation)
-        return _solved(rules, problem, "solves a feeder with changed demand")
-
-    for name, load in grid.of(Load).items():
-        price = float(plan().data["lmp"].sel(bus=load.bus)[0])
-        costs = []
-        for p in (load.p + change, load.p - change):
-            grid.update(name, p=p)
-            costs.append(plan().objective)
-        grid.update(name, p=load.p)
-        slope = (costs[0] - costs[1]) / (2 * change * step)
+    loads = grid.of(Load)
+    # at step 0 the demand of the grid, then of one load after the other a little more and a little less
+    series = {f"{name}.p": np.full(1 + 2 * len(loads), load.p) for name, load in loads.items()}
+    for number, values in enumerate(series.values()):
+        values[1 + 2 * number : 3 + 2 * number] += (change, -change)
+    problem = MultiStage(grid, 1, step, formulation=formulation, profiles=series)
+    rule = "solves a feeder with changed demand"
+    prices = _solved(rules, problem, rule).data["lmp"]
+    for number, load in enumerate(loads.values()):
+        price = float(prices.sel(bus=load.bus)[0])
+        more, less = (
+            _solved(rules, problem, rule, time).objective for time in (1 + 2 * number, 2 + 2 * number)
+        )
+        slope = (more - less) / (2 * change * step)
         rules.require(
             np.isclose(price, slope, rtol=1e-3, atol=1e-3),
             "the price of a bus is the derivative of the cost with respect to its demand",

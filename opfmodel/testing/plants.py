@@ -46,9 +46,8 @@ def check_plant(plant: Plant) -> None:
     rules = Contract(f"plant {type(plant).__name__}")
     rules.require(isinstance(plant, Plant), "is a Plant")
     check_options(rules, type(plant))
-    for formulation in ("dc", "ac"):
-        for delay in (0, 1):
-            _check_loop(rules, plant, feeder(), formulation, delay)
+    for formulation, delay in (("dc", 1), ("ac", 0)):
+        _check_loop(rules, plant, feeder(), formulation, delay)
     for what, make in EDGE_GRIDS.items():
         grid = make()
         problem = MultiStage(grid, formulation="dc")
@@ -57,8 +56,9 @@ def check_plant(plant: Plant) -> None:
                 plant.check(problem.arrays)
             except ModelError:
                 continue  # its options are for another grid
-            step = plant.apply(problem.solve())
-        _check_step(rules, step, problem.arrays, problem.solve())
+            plan = problem.solve()
+            step = plant.apply(plan)
+        _check_step(rules, step, problem.arrays, plan)
     if not plant.needs_perfect_forecast:
         _check_surprise(rules, plant)
     if plant.takes_outages:
