@@ -90,6 +90,9 @@ def solve_mixed(
 
     if "HIGHS" not in cp.installed_solvers():
         raise SolverError("mixed-integer programs need HiGHS, which is not installed: pip install highspy")
+    import highspy
+
+    highspy.Highs.resetGlobalScheduler(True)  # else it fails after a solve with other threads in this process
     binary, n = program.binary, program.q.size
     whole = cp.Variable(binary.size, boolean=True)
     rest = np.setdiff1d(np.arange(n), binary)

@@ -331,7 +331,7 @@ def test_the_constraints_of_the_page_are_read(tmp_path: Path) -> None:
 @given(
     factors=st.dictionaries(
         st.sampled_from(["generator.pg", "gas*.pg", "coal.pg", "tie.pf", "load.p", "*.pt", "coal.p_max"]),
-        st.floats(-1e3, 1e3),
+        st.floats(-1e3, 1e3).map(lambda factor: round(factor, 3)),  # smaller ones spoil the scaling
         min_size=1,
     )
 )
@@ -340,7 +340,7 @@ def test_a_linear_total_is_the_sum_of_its_terms(factors: dict[str, float]) -> No
     grid = two_units()
     grid.add("gas2", om.Generator("south", p=(0, 9), cost=om.Polynomial(0, 5, 0)))
     made = problem("dc", grid=grid)
-    made.constrain("own", Linear({"coal.pg": 0.0} | factors), at_least=-1e9)
+    made.constrain("own", Linear({"coal.pg": 0.0} | factors), at_least=-1e7)
     plan = made.solve()
     pg = plan.data["pg"].transpose("generator", "time")
     values = {

@@ -221,6 +221,18 @@ def test_a_plan_that_needs_more_units_for_its_voltages_is_repaired() -> None:
     assert made[0].on["local.on"].sum() == 0 < made[1].on["local.on"].sum()
 
 
+def test_another_solve_with_more_threads_changes_nothing() -> None:
+    highspy = pytest.importorskip("highspy")
+    expected = om.commit(om.MultiStage(system(), 2)).objective
+    other = highspy.Highs()
+    for option, value in (("output_flag", False), ("threads", 2)):
+        other.setOptionValue(option, value)
+    other.resetGlobalScheduler(True)
+    other.addVar(0, 1)
+    other.run()
+    assert om.commit(om.MultiStage(system(), 2)).objective == pytest.approx(expected)
+
+
 def test_no_commitment_and_limits_of_time() -> None:
     grid = system(p=(30, 40), q=(-50, 50))
     grid.city = om.Load("north", p=300)
