@@ -305,7 +305,12 @@ def test_a_converted_case_has_the_same_optimum(path: Path, suffix: str, call: Ca
     code, out, _ = call("convert", path, to, "--json")
     assert (code, json.loads(out)["losses"]) == (0, [])
     again = om.load_scenario(to).network if suffix == ".yaml" else om.read_network(to)
-    before, after = (om.MultiStage(n).solve() for n in (om.read_network(path), again))
+    network = om.read_network(path)
+    if contents(again) == contents(network):
+        assert again.base_mva == network.base_mva  # the same problem
+        return
+    assert suffix == ".m"
+    before, after = (om.MultiStage(n).solve() for n in (network, again))
     assert after.status == before.status
     if before.optimal:
         assert after.objective == pytest.approx(before.objective, rel=1e-8)
@@ -414,7 +419,7 @@ def test_numbers_that_no_scenario_holds_are_lost(tmp_path: Path) -> None:
 
 
 # pandapower's converter changes some transformers of the 300-bus case; that is found and refused.
-EXACT = [p for p in CASES if not re.search("case300|case118_ieee__", p.stem)]
+EXACT = [p for p in CASES if not re.search("case300|case118|__", p.stem)]
 NO_POWER_FLOW = {"pglib_opf_case39_epri", "pglib_opf_case3_lmbd"}  # at the set-points of the file
 
 

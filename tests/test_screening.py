@@ -29,13 +29,13 @@ def series_of(horizon: om.Horizon, most: float) -> list[om.Profiles]:
 # Screened plans -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("response", ["corrective", "preventive"])
 @pytest.mark.parametrize(
-    ("which", "formulation"),
+    ("which", "formulation", "response"),
     [
-        *(("tree", each) for each in ("ac", "ac-rectangular", "dc", "dc-matpower", "soc")),
-        ("chain", "ac"),
-        ("uneven", "dc"),
+        *(("tree", each, "corrective") for each in ("ac", "dc-matpower", "soc")),
+        *(("tree", each, "preventive") for each in ("ac", "ac-rectangular", "dc")),
+        ("chain", "ac", "preventive"),
+        ("uneven", "dc", "corrective"),
     ],
 )
 def test_a_screened_plan_is_that_of_all_contingencies(which: str, formulation: str, response: str) -> None:
@@ -174,8 +174,9 @@ def test_a_loop_begins_with_nothing_included() -> None:
 # Responses ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("response", ["corrective", "preventive"])
-@pytest.mark.parametrize("formulation", ["ac", "dc"])
+@pytest.mark.parametrize(
+    ("formulation", "response"), [("ac", "corrective"), ("ac", "preventive"), ("dc", "preventive")]
+)
 def test_flows_pass_no_outage_that_its_own_problem_does_not(formulation: str, response: str) -> None:
     plan = solved(om.Horizon.chain(3), None, formulation)
     passed, refused = 0, 0
@@ -215,7 +216,7 @@ def test_a_known_response_is_kept_while_it_is_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("case", "factor"), [*(("case14_ieee", factor) for factor in (0.7, 1.0, 1.3)), ("case30_as", 1.0)]
+    ("case", "factor"), [("case14_ieee", 0.7), ("case14_ieee", 1.0), ("case30_as", 1.0)]
 )
 def test_ac_flows_after_outages_are_those_of_the_power_flow(case: str, factor: float) -> None:
     network = om.read_network(PGLIB.format(case))
