@@ -213,8 +213,13 @@ def test_there_is_always_a_solution(
 # No cost outbids a shortfall --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("price", [20.0, 12_000.0, 1e6])
+@pytest.mark.parametrize(
+    ("formulation", "price"),
+    [
+        *((each, 12_000.0) for each in FORMULATIONS),
+        *((each, price) for each in ("ac", "dc") for price in (20.0, 1e6)),
+    ],
+)
 def test_a_cost_above_the_price_of_shedding_sheds_no_more(formulation: str, price: float) -> None:
     grid = one_bus(40)
     grid.update("unit", cost=om.Polynomial(0, price, 0))
@@ -264,8 +269,13 @@ def test_the_effort_of_all_phases_counts() -> None:
     assert outbid.solution.iterations > plain.solution.iterations
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize(("price", "served"), [(20.0, [30, 40]), (12_000.0, [0, 0])])
+@pytest.mark.parametrize(
+    ("formulation", "price", "served"),
+    [
+        *((each, 12_000.0, [0, 0]) for each in FORMULATIONS),
+        *((each, 20.0, [30, 40]) for each in ("ac", "dc")),
+    ],
+)
 def test_a_shortage_that_is_traded_saves_cost_above_its_price(
     formulation: str, price: float, served: list[float]
 ) -> None:
