@@ -491,7 +491,7 @@ def test_solver_output_is_separate_from_results(arguments: tuple, tmp_path: Path
         (tmp_path / "s.yaml").write_text(WEAK.replace("p: 300", "p: 3"))
         arguments = ("table", tmp_path / "s.yaml")
     elif arguments[0] == "run":
-        arguments = (*arguments, "--out", tmp_path)
+        arguments = (*arguments, "--out", tmp_path, "--no-figures")
     out, err = start(PRINT, *arguments, "--json").communicate()
     assert isinstance(json.loads(out), dict)
     for text in ("BANNER", "iter    objective"):

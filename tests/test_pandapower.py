@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 import pandapower as pp
-import pandapower.networks as grids
-import pandapower_tables  # noqa: F401 - makes what follows faster
 import pytest
 from conftest import SCENARIOS, examples
 from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 from newton import power_flow
 from pandapower import toolbox
+from pandapower_tables import copied, example
 
 import opfmodel as om
 from opfmodel.errors import CaseError, CaseWarning
@@ -78,19 +77,18 @@ OTHERS = [
 
 @pytest.mark.parametrize("name", [*NETWORKS, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def test_voltages_are_those_of_runpp(name: str) -> None:
-    net = getattr(grids, name)()
-    net = net[0] if isinstance(net, tuple) else net
+    net = example(name)
     assert largest_difference(net, read(net)) < 1e-6
 
 
 @pytest.mark.parametrize("with_der", ["all", "pv_wind"])
 def test_voltages_with_distributed_generation_are_those_of_runpp(with_der: str) -> None:
-    net = grids.create_cigre_network_mv(with_der=with_der)
+    net = example("create_cigre_network_mv", with_der=with_der)
     assert largest_difference(net, read(net)) < 1e-6
 
 
 def test_an_open_ring_stays_open() -> None:
-    net = grids.create_cigre_network_mv()
+    net = example("create_cigre_network_mv")
     closed = net.switch.closed.copy()
     assert not closed.all()
     opened = read(net)
@@ -295,15 +293,21 @@ def runopp(net: Any) -> float:
     return float(net.res_cost)
 
 
-@pytest.mark.parametrize("name", ["case9", "case14", "case24_ieee_rts", "case33bw", "case39", "case118"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("case9", "case24_ieee_rts", "case118"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("case14", "case33bw", "case39")),
+    ],
+)
 def test_optima_are_those_of_runopp(name: str) -> None:
-    net = getattr(grids, name)()
+    net = example(name)
     assert optimum(read(net)) == pytest.approx(runopp(net), rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ["case6ww", "case30"])
 def test_optima_of_cases_with_congestion_are_those_of_runopp_without_it(name: str) -> None:
-    net = getattr(grids, name)()
+    net = example(name)
     limited = optimum(read(net))
     net.line = net.line.drop(columns="max_loading_percent")
     free = optimum(read(net))
@@ -334,7 +338,7 @@ def test_charging_of_transformers_survives_a_file_of_powerio(tmp_path: Path) -> 
 
 
 def test_a_negative_open_loop_current_has_the_meaning_of_pandapower(tmp_path: Path) -> None:
-    net = grids.case118()
+    net = example("case118")
     assert (net.trafo.i0_percent < 0).any()
     with pytest.warns(
         CaseWarning, match=r"i0_percent is negative.*: 'trafo7', 'trafo9', 'trafo11', 'trafo12'"
@@ -343,6 +347,7 @@ def test_a_negative_open_loop_current_has_the_meaning_of_pandapower(tmp_path: Pa
     assert optimum(network) == pytest.approx(runopp(net), rel=1e-6)
 
 
+@copied
 def feeder(**external: Any) -> Any:
     """Two buses, 110 kV, with a load of 30 MW."""
     net = pp.create_empty_network()
@@ -530,6 +535,7 @@ def test_storages_of_simbench_have_efficiencies() -> None:
     assert read(net)["storage0"].charge_efficiency == 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["1-MV-rural--2-sw", "1-LV-rural1--0-sw"])
 def test_voltages_of_simbench_are_those_of_runpp(code: str) -> None:
     simbench = pytest.importorskip("simbench")
@@ -538,7 +544,7 @@ def test_voltages_of_simbench_are_those_of_runpp(code: str) -> None:
 
 
 def test_indices_need_not_be_consecutive() -> None:
-    net = grids.example_multivoltage()
+    net = example("example_multivoltage")
     toolbox.reindex_buses(net, {bus: 7 * bus + 3 for bus in net.bus.index})
     for table in ("load", "line", "trafo", "trafo3w", "xward"):
         toolbox.reindex_elements(net, table, [5 * index + 2 for index in net[table].index])
@@ -556,7 +562,7 @@ def test_indices_need_not_be_consecutive() -> None:
     ],
 )
 def test_saved_options_of_power_flows_count(options: dict[str, Any]) -> None:
-    net = grids.example_multivoltage()
+    net = example("example_multivoltage")
     net.switch.loc[net.switch.et == "b", "z_ohm"] = 0.1
     net.trafo3w[["pfe_kw", "i0_percent"]] = [30.0, 0.1]
     plain = read(net)
@@ -568,7 +574,7 @@ def test_saved_options_of_power_flows_count(options: dict[str, Any]) -> None:
 
 
 def test_the_network_is_not_changed() -> None:
-    net = grids.example_multivoltage()
+    net = example("example_multivoltage")
     before = pp.to_json(net)
     read(net)
     assert pp.to_json(net) == before
@@ -802,7 +808,7 @@ def save(net: Any, path: Path) -> Path:
 
 
 def test_a_file_is_read_as_the_network(tmp_path: Path) -> None:
-    net = grids.create_cigre_network_mv(with_der="pv_wind")
+    net = example("create_cigre_network_mv", with_der="pv_wind")
     path = save(net, tmp_path / "grid.json")
     with warnings.catch_warnings(action="ignore"):
         network = om.read_network(path)
