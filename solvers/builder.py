@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakValueDictionary
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from solvers.errors import ProgramError
 from solvers.expression import Constraint, Expression, Leaf, Sum, constant, reference
 from solvers.program import POSITION, Array, Block, Cone, Epigraph, Index, Output, Placement, Program
-from solvers.template import Template
+from solvers.template import Template, column
 
 __all__ = ["ProgramBuilder", "Rows"]
 
@@ -304,9 +303,9 @@ class ProgramBuilder:
         parameters = [leaf for leaf in leaves.values() if leaf.kind != "variable"]
         template = Template(
             name,
-            ca.vertcat(*(leaf.symbol for leaf in variables)),
-            ca.vertcat(*(leaf.symbol for leaf in parameters)),
-            ca.vertcat(*(e.formula for e in expressions)),
+            column([leaf.symbol for leaf in variables]),
+            column([leaf.symbol for leaf in parameters]),
+            column([e.formula for e in expressions]),
         )
         variable, parameter = (tuple(map(self._positions, each)) for each in (variables, parameters))
         return template, variable, parameter

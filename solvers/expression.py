@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from solvers.errors import ProgramError
 from solvers.program import Array, Index
+from solvers.template import column
 
 if TYPE_CHECKING:
     from solvers.builder import ProgramBuilder
@@ -216,7 +217,7 @@ class Expression(_Symbolic):
             new.append(moved.symbol)
         formula = self.formula
         if old:
-            formula = ca.substitute(formula, ca.vertcat(*old), ca.vertcat(*new))
+            formula = ca.substitute(formula, column(old), column(new))
         return Expression(self.builder, formula, leaves, shape)
 
     def __iter__(self) -> Iterator[Expression]:

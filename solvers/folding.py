@@ -17,6 +17,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from solvers.program import Array, Placement, Program
+from solvers.template import nonzeros
 
 __all__ = ["Affine", "Quadratic", "fold_affine", "fold_quadratic", "map_numbers"]
 
@@ -170,8 +171,11 @@ class _Local:
 
     def numbers(self, expression: Any) -> Array:
         """Nonzeros of an expression of the constants, at every place: ``(nonzeros, M)``."""
-        nonzeros = ca.vertcat(*expression.nonzeros())
-        function = ca.Function("numbers", [self._constants], [ca.densify(nonzeros)])
+        entries = nonzeros(expression)
+        if not self._data.size:
+            values = np.asarray(ca.evalf(entries), dtype=float)
+            return np.broadcast_to(values, (values.size, self._count))
+        function = ca.Function("numbers", [self._constants], [entries])
         return map_numbers(function, self._count, self._data)
 
 

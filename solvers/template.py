@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from solvers.errors import ProgramError
 
-__all__ = ["Degree", "Template"]
+__all__ = ["Degree", "Template", "column", "nonzeros"]
 
 
 class Degree(IntEnum):
@@ -50,8 +51,8 @@ class Template:
         self.variables = ca.SX(variables)
         self.parameters = ca.SX(parameters)
         self.outputs = ca.densify(ca.SX(outputs))
-        known = ca.vertcat(self.variables, self.parameters)
-        stray = [str(s) for s in ca.symvar(self.outputs) if known.is_empty() or not ca.depends_on(known, s)]
+        known = {s.element_hash() for part in (self.variables, self.parameters) for s in part.elements()}
+        stray = [str(s) for s in ca.symvar(self.outputs) if s.element_hash() not in known]
         if stray:
             raise ProgramError(
                 f"template {name!r}: unknown symbols {', '.join(stray)}; "
@@ -105,9 +106,8 @@ class Template:
     @cached_property
     def jacobian(self) -> Any:
         """CasADi function ``(variables, parameters) -> nonzeros of the Jacobian``."""
-        nonzeros = ca.vertcat(*self._jacobian.nonzeros())
         return ca.Function(
-            f"{_slug(self.name)}_jacobian", [self.variables, self.parameters], [ca.densify(nonzeros)]
+            f"{_slug(self.name)}_jacobian", [self.variables, self.parameters], [nonzeros(self._jacobian)]
         )
 
     @cached_property
@@ -138,11 +138,10 @@ class Template:
     @cached_property
     def hessian(self) -> Any:
         """CasADi function ``(variables, parameters, weights) -> nonzeros of sum_i w_i hess(output_i)``."""
-        nonzeros = ca.vertcat(*self._hessian.nonzeros())
         return ca.Function(
             f"{_slug(self.name)}_hessian",
             [self.variables, self.parameters, self._weights],
-            [ca.densify(nonzeros)],
+            [nonzeros(self._hessian)],
         )
 
     @cached_property
@@ -161,6 +160,16 @@ def _received(name: str, serialized: str) -> Template:
     whole = ca.Function.deserialize(serialized)
     variables, parameters = (ca.SX.sym(key, whole.numel_in(i)) for i, key in enumerate(("v", "p")))
     return Template(name, variables, parameters, whole(variables, parameters))
+
+
+def column(parts: Sequence[Any]) -> Any:
+    """Stack scalar ``SX`` expressions; a single one, as most often, needs no conversion."""
+    return parts[0] if len(parts) == 1 else ca.vertcat(*parts)
+
+
+def nonzeros(expression: Any) -> Any:
+    """Return the structural nonzeros of an ``SX`` matrix as a dense column."""
+    return ca.vec(expression.nz[:])
 
 
 def _degree(gradient: Any, variables: Any) -> Degree:

@@ -75,7 +75,9 @@ OTHERS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [*NETWORKS, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
+@pytest.mark.parametrize(
+    "name", [*NETWORKS, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)]
+)
 def test_voltages_are_those_of_runpp(name: str) -> None:
     net = example(name)
     assert largest_difference(net, read(net)) < 1e-6

@@ -215,9 +215,7 @@ def test_a_known_response_is_kept_while_it_is_one() -> None:
 # Flows after outages ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("case", "factor"), [("case14_ieee", 0.7), ("case14_ieee", 1.0), ("case30_as", 1.0)]
-)
+@pytest.mark.parametrize(("case", "factor"), [("case14_ieee", 0.7), ("case14_ieee", 1.0), ("case30_as", 1.0)])
 def test_ac_flows_after_outages_are_those_of_the_power_flow(case: str, factor: float) -> None:
     network = om.read_network(PGLIB.format(case))
     for name, branch in network.of(om.Branch).items():

@@ -114,7 +114,10 @@ FORMULATIONS = ("ac", "dc", "soc")
 SECURED = [
     *((which, formulation, 0, True) for which in HORIZONS for formulation in FORMULATIONS),
     *((which, formulation, 1, True) for which, formulation in zip(HORIZONS, FORMULATIONS, strict=True)),
-    *((which, formulation, 0, False) for which, formulation in zip(HORIZONS, FORMULATIONS[::-1], strict=True)),
+    *(
+        (which, formulation, 0, False)
+        for which, formulation in zip(HORIZONS, FORMULATIONS[::-1], strict=True)
+    ),
 ]
 
 
