@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import xarray as xr
-from conftest import DATA, SCENARIOS, demand, everything, two_bus
-from hypothesis import given, settings
+from conftest import DATA, SCENARIOS, demand, everything, examples, two_bus
+from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
@@ -221,7 +221,7 @@ def test_the_losses_of_118_buses() -> None:
     assert 100 * branch.sum() == pytest.approx(132.863, abs=2e-3)
 
 
-@settings(max_examples=15)
+@examples(5)
 @given(
     scale=st.lists(st.floats(0.4, 1.15), min_size=2, max_size=2),
     factors=st.tuples(st.floats(0, 5), st.floats(0.1, 5)),

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from conftest import DATA, SCENARIOS, everything
-from hypothesis import given, settings
+from conftest import DATA, SCENARIOS, everything, examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 import opfmodel as om
@@ -137,7 +137,7 @@ def grids(draw: st.DrawFn) -> om.Network:
     return grid
 
 
-@settings(max_examples=60)
+@examples(15)
 @given(grids(), st.sampled_from(["single", "distributed"]), st.booleans())
 def test_the_balance_of_every_bus_holds(grid: om.Network, slack: str, limited: bool) -> None:
     flow = om.power_flow(grid, slack=slack, enforce_q_limits=limited)
