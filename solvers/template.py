@@ -51,7 +51,8 @@ class Template:
         self.variables = ca.SX(variables)
         self.parameters = ca.SX(parameters)
         self.outputs = ca.densify(ca.SX(outputs))
-        known = {s.element_hash() for part in (self.variables, self.parameters) for s in part.elements()}
+        symbols: list[Any] = [*self.variables.elements(), *self.parameters.elements()]
+        known = {s.element_hash() for s in symbols}
         stray = [str(s) for s in ca.symvar(self.outputs) if s.element_hash() not in known]
         if stray:
             raise ProgramError(
