@@ -86,6 +86,7 @@ from .scenario import (
     load_scenario as load_scenario,
 )
 from .simulation import (
+    Checkpoint as Checkpoint,
     Controller as Controller,
     NominalPlant as NominalPlant,
     Outage as Outage,

@@ -28,7 +28,9 @@ from solvers.solve import (
     in_parts,
     installed,
     prepare,
+    recall_session,
     rescan,
+    session_memory,
     solve,
 )
 from solvers.status import SolutionStatus, TerminationCondition
@@ -83,7 +85,9 @@ __all__ = [
     "nonconvex_cost",
     "prepare",
     "proves_infeasible",
+    "recall_session",
     "rescan",
+    "session_memory",
     "solve",
     "solve_mixed",
     "stacked",

@@ -1,4 +1,9 @@
-"""Ctrl-C stops whatever runs and raises ``KeyboardInterrupt``, in CasADi's calls too."""
+"""Ctrl-C stops whatever runs and raises ``KeyboardInterrupt``, in CasADi's calls too.
+
+So do SIGTERM and SIGHUP in a process that handles them as Python handles Ctrl-C::
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+"""
 
 from __future__ import annotations
 
@@ -7,25 +12,60 @@ import io
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-__all__ = ["interruptible"]
+__all__ = ["STOPS", "deferred", "interruptible", "raising"]
+
+Handler = Callable[[int, FrameType | None], object]
+
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""The signals that ask a process to end."""
+
+_RAISING: list[object] = [signal.default_int_handler]
+
+
+def raising(handler: Handler) -> Handler:
+    """Declare, for :func:`interruptible`, that a signal handler raises ``KeyboardInterrupt``."""
+    _RAISING.append(handler)
+    return handler
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[None]:
+    """Put off the handling of the signals that ask a process to end until the end of the block.
+
+    It has no effect outside the main thread, and on signals that are ignored or end the process at once.
+    """
+    arrived: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in STOPS}
+    ours = threading.current_thread() is threading.main_thread()
+    handled = {number: handler for number, handler in handlers.items() if ours and callable(handler)}
+    for number in handled:
+        signal.signal(number, lambda signum, _: arrived.append(signum))
+    try:
+        yield
+    finally:
+        for number, handler in handled.items():
+            signal.signal(number, handler)
+        if arrived:
+            handled[arrived[0]](arrived[0], None)
 
 
 class _Watch:
-    """A signal handler that remembers that it was called."""
+    """A signal handler that remembers that it was called, in front of the handlers that raise."""
 
-    def __init__(self) -> None:
+    def __init__(self, handlers: dict[int, Handler]) -> None:
+        self.handlers = handlers
         self.pressed = False
 
     def __call__(self, signum: int, frame: FrameType | None) -> None:
         self.pressed = True
-        signal.default_int_handler(signum, frame)
+        self.handlers[signum](signum, frame)
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
@@ -35,12 +75,14 @@ class _Watch:
             if not issubclass(unraisable.exc_type, KeyboardInterrupt):
                 hook(unraisable)
 
-        before, hook = signal.signal(signal.SIGINT, self), sys.unraisablehook
-        sys.unraisablehook = report
+        for number in self.handlers:
+            signal.signal(number, self)
+        hook, sys.unraisablehook = sys.unraisablehook, report
         try:
             yield
         finally:
-            signal.signal(signal.SIGINT, before)
+            for number, handler in self.handlers.items():
+                signal.signal(number, handler)
             sys.unraisablehook = hook
 
 
@@ -59,17 +101,20 @@ def interruptible(*, quiet: bool = False) -> Iterator[None]:
         Whether to drop what the block writes to standard error if Ctrl-C was pressed, which is
         CasADi's warning.
     """
-    before = signal.getsignal(signal.SIGINT)
-    nested = isinstance(before, _Watch)
+    known = {number: signal.getsignal(number) for number in STOPS}
+    outer = next((handler for handler in known.values() if isinstance(handler, _Watch)), None)
+    handlers = {
+        number: handler for number, handler in known.items() if any(handler is each for each in _RAISING)
+    }
     ours = threading.current_thread() is threading.main_thread()
-    if not ours or not (nested or before is signal.default_int_handler):
+    if not ours or not (outer or handlers):
         yield
         return
-    watch = before if isinstance(before, _Watch) else _Watch()
+    watch = outer or _Watch(handlers)  # type: ignore[arg-type]
     captured = io.StringIO()
     try:
         with (
-            contextlib.nullcontext() if nested else watch.installed(),
+            contextlib.nullcontext() if outer else watch.installed(),
             contextlib.redirect_stderr(captured) if quiet else contextlib.nullcontext(),
         ):
             yield

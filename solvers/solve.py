@@ -24,7 +24,9 @@ __all__ = [
     "in_parts",
     "installed",
     "prepare",
+    "recall_session",
     "rescan",
+    "session_memory",
     "solve",
 ]
 
@@ -33,11 +35,34 @@ Options = Mapping[str, Any]
 
 
 class Session(Protocol):
-    """A program prepared by a back end for repeated solves."""
+    """A program prepared by a back end for repeated solves.
+
+    A session whose solves depend on earlier ones, besides on their start, also has the methods ``memory()``
+    and ``recall(memory)``; see :func:`session_memory`.
+    """
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance, from ``start`` if the back end supports warm starts."""
         ...
+
+
+def session_memory(session: Session) -> dict[str, Any]:
+    """Return what the next solves of a session depend on besides their arguments; empty if on nothing.
+
+    Returns
+    -------
+    dict
+        Plain data: nested mappings, lists, numbers, texts and arrays. A new session of the same program that
+        takes them back by :func:`recall_session` solves as this one would.
+    """
+    own = getattr(session, "memory", None)
+    return {} if own is None else dict(own())
+
+
+def recall_session(session: Session, memory: Mapping[str, Any]) -> None:
+    """Put back what :func:`session_memory` returned, in another process for instance."""
+    if memory:
+        session.recall(memory)  # type: ignore[attr-defined]
 
 
 class BackEnd(Protocol):
@@ -223,6 +248,19 @@ class _SecondOpinion:
     def _other(self) -> Session:
         return self._prepare()
 
+    def memory(self) -> dict[str, Any]:
+        """Return what both sessions remember."""
+        made = {"first": session_memory(self._session)}
+        if "_other" in vars(self):
+            made["other"] = session_memory(self._other)
+        return {name: memory for name, memory in made.items() if memory}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Put back what both sessions remembered."""
+        recall_session(self._session, memory.get("first", {}))
+        if "other" in memory:
+            recall_session(self._other, memory["other"])
+
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve, with the other back end if the first finds nothing."""
         solution = self._session.solve(instance, start)
@@ -246,6 +284,14 @@ class _ConvexSession:
         self._program = program
         self._end = end
         self._name = name
+
+    def memory(self) -> dict[str, Any]:
+        """Return what the session remembers."""
+        return session_memory(self._session)
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Put back what the session remembered."""
+        recall_session(self._session, memory)
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve the instance if it is convex."""

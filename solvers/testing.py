@@ -22,11 +22,14 @@ from solvers.errors import SolverOptionError
 from solvers.expression import total
 from solvers.program import Program
 from solvers.solution import Solution
-from solvers.solve import BackEnd
+from solvers.solve import BackEnd, recall_session, session_memory
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import classify
 
 __all__ = ["Contract", "ContractError", "SmallProblem", "check_back_end", "small_problems"]
+
+
+_SAME = 1e-9
 
 
 class ContractError(AssertionError):
@@ -263,6 +266,15 @@ def _check_instances(rules: Contract, end: BackEnd, solver: str, tolerance: floa
             rules.require(solution.status.is_optimal and right, "solves the next instance", found)
             rules.require(solution.instance is instance, "returns the instance that it solved")
         before = solution
+    with rules.rule("solves in a new session, with the memory of another, as that one would"):
+        resumed = end.prepare(program, solver, {}, False)
+        recall_session(resumed, session_memory(session))
+        instance = program.instance({"demand": [[6.0, 4.0]]})
+        start = None if before is None else before.start()
+        one, other = (each.solve(instance, start) for each in (session, resumed))
+    same = one.iterations == other.iterations and np.allclose(one.x, other.x, rtol=_SAME, atol=_SAME)
+    rule = "solves in a new session, with the memory of another, as that one would"
+    rules.require(same, rule, f"{one.iterations} and {other.iterations} iterations")
 
 
 def _check_failures(rules: Contract, end: BackEnd, solver: str) -> None:

@@ -387,9 +387,24 @@ def test_a_full_disk_is_reported_in_one_line(
         code, out, err = call("run", two_buses, "--out", tmp_path / "out", "--json")
     assert code == 2
     assert "cannot be written: File too large" in json.loads(out)["error"]
-    assert (err.startswith("error: "), err.count("\n")) == (True, 1)
-    written = [p.name for p in (tmp_path / "out").iterdir()]
-    assert sorted(written) == (["summary.json", "trajectories.nc"] if most_bytes > 40_000 else [])
+    *warned, last = err.splitlines()
+    assert last.startswith("error: ")
+    assert all("the checkpoint cannot be written: File too large" in line for line in warned)
+    written = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert (
+        written
+        == {1_000: [], 12_000: ["checkpoint"], 45_000: ["summary.json", "trajectories.nc"]}[most_bytes]
+    )
+
+
+def test_what_a_full_disk_did_not_take_is_written_later(call: Call, two_buses: Path, tmp_path: Path) -> None:
+    command = ("run", two_buses, "--out", tmp_path / "out", "--json", "--no-figures")
+    often = ("--set", "checkpoint.seconds=0")
+    with full_disk(12_000):
+        assert "the same command with --resume" in call(*command, *often)[2]
+    code, out, _ = call(*command, *often, "--resume")
+    assert (code, json.loads(out)["status"]) == (0, "done")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["summary.json", "trajectories.nc"]
 
 
 def test_figures_on_a_full_disk_are_reported_in_one_line(call: Call, two_buses: Path, tmp_path: Path) -> None:
@@ -408,7 +423,7 @@ def test_the_results_folder_describes_the_last_run(call: Call, two_buses: Path, 
     assert call("run", two_buses, "--out", folder, "--no-figures")[0] == 0
     assert sorted(p.name for p in folder.iterdir()) == ["summary.json", "trajectories.nc"]
     heavy = ("--set", "network.loads.town.p=500")
-    code, out, _ = call("run", two_buses, "--out", folder, *heavy)
+    code, out, _ = call("run", two_buses, "--out", folder, *heavy, "--force")
     assert (code, f"results        {folder}" in out) == (1, True)
     assert [p.name for p in folder.iterdir()] == ["summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
@@ -588,7 +603,7 @@ def test_penalty_prices_are_keys_of_a_scenario(call: Call, tmp_path: Path) -> No
         keys = [word for price in prices for word in ("--set", f"controller.elastic.{price}")]
         code, out, _ = call("solve", weak, "--on-infeasible", "elastic", *keys)
         assert (code, lacking in out) == (1, True)
-        code, out, _ = call("run", weak, "--out", tmp_path, "--json", "--no-figures", *keys)
+        code, out, _ = call("run", weak, "--out", tmp_path, "--json", "--no-figures", "--force", *keys)
         assert lacking in json.loads(out)["diagnosis"]["0"][0]
     for price in ("0", "-1", ".inf", "much"):
         code, _, err = call("solve", weak, "--set", f"controller.elastic.shedding={price}")

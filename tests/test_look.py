@@ -512,7 +512,9 @@ def test_a_scenario_to_start_from_is_valid_and_runs(source: Path | None, call: C
     assert (code, json.loads(out)["written"]) == (0, [str(path)])
     assert call("validate", path)[0] == 0
     for variant in ((), ("--variant", "dc")):
-        code, out, _ = call("run", path, "--out", tmp_path / "out", "--json", "--no-figures", *variant)
+        code, out, _ = call(
+            "run", path, "--out", tmp_path / "out", "--json", "--no-figures", "--force", *variant
+        )
         assert (code, json.loads(out)["status"]) == (0, "done"), variant
     lines = path.read_text().splitlines()
     stated = [line for line in lines if line and not line[0].isspace() and not line.startswith("#")]

@@ -13,6 +13,7 @@ import typer
 
 from opfmodel.cli import analyze, convert, inspect, look, powerflow, run, schema, security, solve, study
 from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
+from opfmodel.cli.signals import ended_by_signals
 from opfmodel.errors import Fault, OpfmodelError, shown
 
 __all__ = ["app", "main"]
@@ -83,7 +84,8 @@ def main() -> NoReturn:
         sys.stdout.reconfigure(errors="backslashreplace")  # as standard error does: no name can fail to print
     warnings.showwarning = WarningPrinter()
     try:
-        code = app(prog_name="opfmodel", standalone_mode=False)
+        with ended_by_signals():
+            code = app(prog_name="opfmodel", standalone_mode=False)
     except typer.Exit as stop:
         sys.exit(stop.exit_code)
     except (typer.Abort, KeyboardInterrupt):

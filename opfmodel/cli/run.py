@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from opfmodel.cli import show
 from opfmodel.cli.options import JSON, ON_INFEASIBLE, OUT, SCENARIO, SET, VARIANT, VERBOSE
-from opfmodel.cli.output import print_json, print_line, remark, solver_output
+from opfmodel.cli.output import print_json, print_line, print_pairs, remark, solver_output
 from opfmodel.cli.reading import check_on_infeasible, read_scenario
+from opfmodel.errors import OpfmodelError, ResultError
 
 __all__ = ["plot", "run", "table"]
 
@@ -25,33 +27,72 @@ def run(
     json_: JSON = False,
     verbose: VERBOSE = False,
     figures: Annotated[bool, typer.Option(help="Save a figure of the whole system.")] = True,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue the run in the results folder, if there is one.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Start again, and replace what is in the results folder.")
+    ] = False,
 ) -> int:
     """Run the closed loop of a scenario.
 
-    Writes trajectories, a summary and a figure to the results folder.
+    Writes trajectories, a summary and a figure to the results folder, and meanwhile checkpoints, from which a
+    run that was interrupted or killed resumes.
     """
     from opfmodel.results import save
     from opfmodel.results.figures import save_figures
+    from opfmodel.results.store import check_writable
     from opfmodel.scenario.results import results_of
+    from opfmodel.simulation import inputs, simulate
+    from opfmodel.simulation.folder import CHECKPOINT, prepare
+    from solvers.interrupt import deferred
 
     check_on_infeasible(on_infeasible)
+    if resume and force:
+        raise OpfmodelError("--resume and --force exclude each other: continue a run, or start again")
     changes = (
         {} if on_infeasible is None else {"controller.on_infeasible": ("--on-infeasible", on_infeasible)}
     )
     loaded = read_scenario(scenario, variant, set_, changes)
     loaded.problem.verbose = verbose
     folder = Path("results") / loaded.name.replace(":", "-") if out is None else out
+    check_writable(folder)
     with solver_output(verbose):
-        done = loaded.simulate(progress=sys.stderr.isatty() and not json_ and not verbose)
-    data, summary, report = results_of(loaded, done)
-    summary = save(data, summary, folder)
-    if figures and data is not None:
-        save_figures(data, folder, figures=["system"])
+        loop = loaded.loop()
+        given = inputs(**{name: loop[name] for name in ("controller", "plant", "steps", "objective")})
+    ended = prepare(folder, given, resume, force)
+    if ended is not None:
+        return _already(ended, folder, json_)
+    checkpoint = loaded.checkpoint(folder / CHECKPOINT)
+    with solver_output(verbose):
+        shown = sys.stderr.isatty() and not json_ and not verbose
+        done = simulate(**loop, progress=shown, checkpoint=checkpoint)
+    with deferred():  # a second Ctrl-C does not lose what has been done
+        data, summary, report = results_of(loaded, done)
+        try:
+            summary = save(data, {**summary, "inputs": given}, folder)
+        except ResultError as error:
+            hint = "make room, and the same command with --resume writes them"
+            raise ResultError(f"{error}; {hint}" if checkpoint.exists else str(error)) from error
+        if not done.interrupted:
+            checkpoint.remove()
+        if figures and data is not None:
+            save_figures(data, folder, figures=["system"])
     if json_:
         print_json(summary)
     else:
         show.run(done, summary, report, folder, loaded.settings.controller.on_infeasible == "elastic")
     return 0 if done.status == "done" else 1
+
+
+def _already(summary: Mapping[str, Any], folder: Path, json_: bool) -> int:
+    """Report that the run to be continued has ended."""
+    remark(f"note: {folder}: this run has ended; --force repeats it")
+    if json_:
+        print_json(summary)
+    else:
+        print_pairs({"status": str(summary.get("status")), "results": str(folder)})
+    return 0 if summary.get("status") == "done" else 1
 
 
 def table(

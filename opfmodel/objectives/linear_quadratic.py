@@ -55,14 +55,14 @@ class LinearQuadratic(Objective):
         q: Weights | list[float] | None = None,
         r: Weights | list[float] | None = None,
     ) -> None:
-        self._terms = (("Q", Q, _STATES), ("R", R, _INPUTS), ("q", q, _STATES), ("r", r, _INPUTS))
-        named = [_named(symbol, weights, kinds) for symbol, weights, kinds in self._terms]
+        self.terms = (("Q", Q, _STATES), ("R", R, _INPUTS), ("q", q, _STATES), ("r", r, _INPUTS))
+        named = [_named(symbol, weights, kinds) for symbol, weights, kinds in self.terms]
         self.needs = tuple(dict.fromkeys(name for names in named for name in names))
 
     def stage_cost(self, stage: Stage) -> Any:
         """Return the sum of the terms with non-zero weights."""
         cost: Any = None
-        for symbol, weights, kinds in self._terms:
+        for symbol, weights, kinds in self.terms:
             for term in _terms(symbol, weights, kinds, stage):
                 cost = term if cost is None else cost + term
         return cost

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -58,13 +59,16 @@ class Setpoints:
     @property
     def values(self) -> Values:
         """The values by ``"component.quantity"``."""
-        if callable(self._values):
-            self._values = self._values()
-        if not isinstance(self._values, Mapping):
+        return self._found
+
+    @cached_property
+    def _found(self) -> Values:
+        found = self._values() if callable(self._values) else self._values
+        if not isinstance(found, Mapping):
             raise ModelError(
-                f"set-points {self._values!r}: must be a mapping {{'component.quantity': value or values}}"
+                f"set-points {found!r}: must be a mapping {{'component.quantity': value or values}}"
             )
-        return self._values
+        return found
 
     def arrays(self, network: PerUnitNetwork) -> dict[str, Array]:
         """Return per-unit values by quantity, ``(items, steps)``; NaN where there is no set-point.

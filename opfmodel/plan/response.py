@@ -136,7 +136,7 @@ class Responses:
         self.outages = security.outages(self.peak)
         self.problem = problem.contingency_problem(security, self.outages)
         self._known: dict[tuple[int, str], Array] = {}
-        self._last: dict[str, Plan] = {}  # of any stage; the next one starts from it
+        self.last: dict[str, Plan] = {}  # of any stage; the next one starts from it
 
     def begin(self) -> None:
         """Begin with another request: nothing is known of its stages."""
@@ -185,9 +185,9 @@ class Responses:
         limits = dict(self._given(stage.state))
         plan = self._still(stage, out, request, limits)
         if plan is None:
-            plan = problem.solve_once(request, self._last.get(out, previous), limits=limits)
+            plan = problem.solve_once(request, self.last.get(out, previous), limits=limits)
             if plan.optimal:
-                self._last[out] = plan
+                self.last[out] = plan
                 if not plan.short:
                     self._known[stage.number, out] = plan.solution.x
         return plan
@@ -197,7 +197,7 @@ class Responses:
         known, model = self._known.get((stage.number, out)), self.problem.model
         if known is None:
             return None
-        last = self._last[out].solution
+        last = self.last[out].solution
         instance, network = self.problem.pose(request, limits)
         given = np.clip(known, instance.lower, instance.upper)  # with the new dispatch of the stage
         x = given.copy()

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.files import check_file, read_text
@@ -21,7 +22,19 @@ from opfmodel.results.validity import check_trajectories
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Files", "digest", "finite", "load", "make_folder", "packed", "save", "unpack", "write_record"]
+__all__ = [
+    "Files",
+    "check_writable",
+    "digest",
+    "finite",
+    "load",
+    "make_folder",
+    "packed",
+    "read_summary",
+    "save",
+    "unpack",
+    "write_record",
+]
 
 Files = Mapping[str, bytes]
 
@@ -117,6 +130,33 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultError(f"{folder}: cannot be created: {error.strerror or error}") from error
+
+
+def check_writable(folder: Path) -> None:
+    """Create a folder for results, unless it exists, and write a file there for a moment.
+
+    Raises
+    ------
+    ResultError
+        It cannot be created or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder) as file:
+            file.write(b"0")
+    except OSError as error:
+        raise ResultError(f"{folder}: results cannot be written: {error.strerror or error}") from error
+
+
+def read_summary(folder: Path) -> dict[str, Any] | None:
+    """Return the summary of the run in a folder; None if there is none.
+
+    Raises
+    ------
+    ResultError
+        The file is damaged.
+    """
+    return _summary(folder / _DATA)
 
 
 def write_record(record: Mapping[str, object], path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from opfmodel.plan.single_stage import SingleStageSequence, single_stage_sequenc
 from opfmodel.scenario.document import Document
 from opfmodel.scenario.parts import make_plant
 from opfmodel.scenario.schema import ScenarioFile
-from opfmodel.simulation import Controller, Plant, Run, check_first_stage, simulate
+from opfmodel.simulation import Checkpoint, Controller, Plant, Run, check_first_stage, simulate
 
 __all__ = ["Scenario"]
 
@@ -172,8 +173,8 @@ class Scenario:
                 )
             return committed_ahead(problem, self.steps, self.initial())
 
-    def simulate(self, progress: bool = False) -> Run:
-        """Run the closed loop of the scenario.
+    def loop(self) -> dict[str, Any]:
+        """Return the arguments of :func:`opfmodel.simulate` for the closed loop, with a new plant.
 
         Raises
         ------
@@ -184,17 +185,37 @@ class Scenario:
         with self.document.located("controller"):
             check_first_stage(self.problem)
         self.check_forecast()
-        return simulate(
-            Controller(
-                self.committed_problem(),
-                self.forecast,
-                self.settings.controller.on_infeasible,
-                self.elastic,
-                self.scenarios,
-            ),
-            self.plant(),
-            steps=self.steps,
-            initial=self.initial(),
-            objective=self.cost,
-            progress=progress,
+        controller = Controller(
+            self.committed_problem(),
+            self.forecast,
+            self.settings.controller.on_infeasible,
+            self.elastic,
+            self.scenarios,
         )
+        return {
+            "controller": controller,
+            "plant": self.plant(),
+            "steps": self.steps,
+            "initial": self.initial(),
+            "objective": self.cost,
+        }
+
+    def checkpoint(self, folder: str | Path) -> Checkpoint:
+        """Return a folder for the checkpoints of the loop, which are as frequent as the file states."""
+        return Checkpoint(folder, **self.settings.checkpoint.model_dump())
+
+    def simulate(self, progress: bool = False, checkpoint: str | Path | Checkpoint | None = None) -> Run:
+        """Run the closed loop of the scenario.
+
+        Parameters
+        ----------
+        progress, checkpoint
+            As for :func:`opfmodel.simulate`; checkpoints in a folder are as frequent as the file states.
+
+        Raises
+        ------
+        ScenarioError
+            As for :meth:`loop`.
+        """
+        kept = self.checkpoint(checkpoint) if isinstance(checkpoint, str | Path) else checkpoint
+        return simulate(**self.loop(), progress=progress, checkpoint=kept)

@@ -414,6 +414,17 @@ class ConstraintSection(Section):
 Cost = Annotated[float | None, In("$")]
 
 
+class CheckpointSection(Section):
+    """How often a run writes what it needs to resume."""
+
+    steps: int | None = Field(None, ge=1, description="write after so many steps, at least 1")
+    seconds: Annotated[float, Field(ge=0), In("s")] | None = Field(
+        None,
+        description="write after a step that ends more than so many seconds after the last writing; 60 if no "
+        "number of steps is stated",
+    )
+
+
 class PublishedSection(Section):
     source: str = Field(description="reference for these costs")
     J_e: Cost = Field(None, description="cost of the closed loop")
@@ -455,6 +466,10 @@ class ScenarioFile(Section):
     )
     constraints: dict[str, ConstraintSection] = Field(
         default_factory=dict, description="linear constraints on plans, by name"
+    )
+    checkpoint: CheckpointSection = Field(
+        default_factory=CheckpointSection,
+        description="how often `opfmodel run` writes what it needs to resume",
     )
     published: PublishedSection | None = Field(
         None, description="costs from the literature; `opfmodel table` prints them beside the computed ones"

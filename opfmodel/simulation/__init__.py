@@ -1,6 +1,8 @@
 """The closed loop: a controller that plans, a plant that responds, and the record of the run."""
 
+from opfmodel.simulation.checkpoint import Checkpoint
 from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
+from opfmodel.simulation.inputs import changed, inputs
 from opfmodel.simulation.loop import check_commitment, check_first_stage, check_response, simulate
 from opfmodel.simulation.outages import Outage, Outages
 from opfmodel.simulation.plants.base import Plant, Step
@@ -11,6 +13,7 @@ from opfmodel.simulation.run import Run
 
 __all__ = [
     "Attempt",
+    "Checkpoint",
     "Controller",
     "NominalPlant",
     "OnInfeasible",
@@ -21,8 +24,10 @@ __all__ = [
     "Redispatch",
     "Run",
     "Step",
+    "changed",
     "check_commitment",
     "check_first_stage",
     "check_response",
+    "inputs",
     "simulate",
 ]

@@ -18,6 +18,7 @@ from opfmodel.forecasts.scenarios import Futures, Scenarios
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.recall import Memory, plan_memory, problem_memory, recall_problem, recalled_plan
 from solvers import SolutionStatus
 
 __all__ = ["Attempt", "Commit", "Controller", "OnInfeasible"]
@@ -115,6 +116,27 @@ class Controller:
         self._last, self.attempts = None, []
         if self.problem.security is not None and self.problem.security.screen:
             self.problem.screening.begin()
+
+    def memory(self) -> Memory:
+        """Return what later plans depend on besides their arguments, as plain data.
+
+        This is the last plan, from which the next one starts, and what solves leave behind, see
+        :mod:`opfmodel.plan.recall`.
+        """
+        problem, last = self.problem, self._last
+        made = {
+            "last": None if last is None else plan_memory(problem, last),
+            "problem": problem_memory(problem),
+        }
+        return made | ({"twin": problem_memory(self._twin)} if "_twin" in vars(self) else {})
+
+    def recall(self, memory: Memory) -> None:
+        """Put back what :meth:`memory` returned, after :meth:`begin`, in another process for instance."""
+        recall_problem(self.problem, memory["problem"])
+        if "twin" in memory:
+            recall_problem(self._twin, memory["twin"])
+        last = memory["last"]
+        self._last = None if last is None else recalled_plan(self.problem, last)
 
     def plan(self, time: int, state: Initial | None, out: Sequence[str] = ()) -> Plan:
         """Plan from ``state`` at step ``time``; a failure is reported by the plan's status.

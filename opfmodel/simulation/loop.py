@@ -6,6 +6,7 @@ import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from opfmodel.errors import HorizonError, IncompatibleError, ModelError
@@ -14,7 +15,9 @@ from opfmodel.network.bounds import integer
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.memory import check_memory, run_bytes
+from opfmodel.simulation.checkpoint import Checkpoint, Keeper
 from opfmodel.simulation.controller import Controller, OnInfeasible
+from opfmodel.simulation.inputs import inputs
 from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Plant, Step
 from opfmodel.simulation.plants.nominal import NominalPlant
@@ -34,6 +37,7 @@ def simulate(
     on_infeasible: OnInfeasible | None = None,
     progress: bool = False,
     on_step: Callable[[Run], None] | None = None,
+    checkpoint: str | Path | Checkpoint | None = None,
 ) -> Run:
     """Run the closed loop: plan, apply the first stage, advance by one step.
 
@@ -55,6 +59,12 @@ def simulate(
         Whether to show a progress bar on standard error.
     on_step
         Function called with the run after every step.
+    checkpoint
+        Folder, or a :class:`Checkpoint` that also states how often, in which the loop keeps what it needs
+        to resume. If the folder holds a checkpoint of the same inputs, the loop continues after its last
+        step as if it had never ended, with the same trajectories; a loop that was complete is returned
+        without a solve. One is written before the first step, after some of the others, and when the loop
+        ends, however it does.
 
     Returns
     -------
@@ -67,6 +77,9 @@ def simulate(
         The time series are too short, or the forecast is imperfect and the plant nominal.
     SizeError
         The results of the steps need more memory than the machine has.
+    ResultError
+        The checkpoint is of other inputs, which the message names, damaged, or cannot be written before the
+        first step. If it cannot be written later, a :class:`ResultWarning` tells, and the loop goes on.
     """
     if isinstance(controller, MultiStage):
         controller = Controller(controller, on_infeasible=on_infeasible or "stop")
@@ -84,36 +97,74 @@ def simulate(
     metered = problem.objective if objective is None else objective
     problem.check_lengths(steps, metered)
     outages = plant.outages.of(problem)
+    keeper = _keeper(checkpoint, controller, plant, steps, initial, metered)
+    if keeper is not None:
+        initial = keeper.initial
     run = Run(problem, metered, initial=initial, outages=outages)
-    state = initial
-    with _progress(steps) if progress else nullcontext(lambda: None) as advance:
+    with _progress(steps) if progress else nullcontext(lambda _: None) as advance:
         controller.begin()
         plant.begin(problem, initial)
         try:
             problem.compile()
             run.build_seconds = problem.build_seconds
-            for time in range(steps):
-                began = clock.perf_counter()
-                with interruptible():
-                    plan = controller.plan(time, state, outages.told(time, problem.step))
-                run.plans.append(_record(plan, controller, clock.perf_counter() - began))
-                if not plan.optimal:
-                    run.status, run.infeasible = plan.status, plan.infeasible
-                    run.termination = f"{problem.step_name(time)}: {plan.termination}"
-                    break
-                with interruptible():
-                    step = plant.apply(plan)
-                run.steps.append(_recorded(step, outages, problem, time))
-                state = outages.resumed(problem, time, step.state)
-                advance()
-                if on_step is not None:
-                    on_step(run)
-            else:
-                run.finish()
+            _loop(run, controller, plant, steps, keeper, advance, on_step)
         except KeyboardInterrupt:
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
+        finally:
+            if keeper is not None:
+                keeper.write(run)
     return run
+
+
+def _loop(
+    run: Run,
+    controller: Controller,
+    plant: Plant,
+    steps: int,
+    keeper: Keeper | None,
+    advance: Callable[[int], None],
+    on_step: Callable[[Run], None] | None,
+) -> None:
+    """Run the steps of a loop that a checkpoint does not hold."""
+    problem, outages = run.problem, run.outages
+    begin, state = (0, run.initial) if keeper is None else keeper.begin(run, controller, plant)
+    advance(begin)
+    for time in range(begin, steps):
+        began = clock.perf_counter()
+        with interruptible():
+            plan = controller.plan(time, state, outages.told(time, problem.step))
+        run.plans.append(_record(plan, controller, clock.perf_counter() - began))
+        if not plan.optimal:
+            run.status, run.infeasible = plan.status, plan.infeasible
+            run.termination = f"{problem.step_name(time)}: {plan.termination}"
+            break
+        with interruptible():
+            step = plant.apply(plan)
+        run.steps.append(_recorded(step, outages, problem, time))
+        state = outages.resumed(problem, time, step.state)
+        if keeper is not None:
+            keeper.step(run, state, controller, plant)
+        advance(1)
+        if on_step is not None:
+            on_step(run)
+    else:
+        run.finish()
+
+
+def _keeper(
+    checkpoint: str | Path | Checkpoint | None,
+    controller: Controller,
+    plant: Plant,
+    steps: int,
+    initial: Initial | None,
+    metered: Objective,
+) -> Keeper | None:
+    """Return what writes the checkpoints of a run; None if there are none."""
+    if checkpoint is None:
+        return None
+    given = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
+    return Keeper(given, inputs(controller, plant, steps, metered), initial)
 
 
 def _recorded(step: Step, outages: Outages, problem: MultiStage, time: int) -> Step:
@@ -196,7 +247,7 @@ def _scenarios(controller: Controller) -> dict[str, dict[str, Any]]:
 
 
 @contextmanager
-def _progress(steps: int) -> Iterator[Callable[[], None]]:
+def _progress(steps: int) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on standard error; yield a function that advances it."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -204,4 +255,4 @@ def _progress(steps: int) -> Iterator[Callable[[], None]]:
     columns = (TextColumn("closed loop"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=steps)
-        yield lambda: bar.advance(task)
+        yield lambda done: bar.advance(task, done)

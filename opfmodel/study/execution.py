@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from opfmodel.errors import CaseWarning, OpfmodelError, ProfileWarning, StudyError
+from opfmodel.plugins.versions import versions
 from opfmodel.results.store import Files, packed
-from opfmodel.study.provenance import machine, versions
+from opfmodel.study.provenance import machine
 from opfmodel.study.specification import Specification
 from solvers import SolverError
 

@@ -1,4 +1,4 @@
-"""Provenance of results: versions, machine, and state of the repository."""
+"""Provenance of results: machine, and state of the repository."""
 
 from __future__ import annotations
 
@@ -6,42 +6,10 @@ import os
 import platform
 import subprocess
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from opfmodel import plugins
-
-__all__ = ["machine", "revision", "versions"]
-
-# Packages that affect results; a new version of any of them changes the key of a run.
-_PACKAGES = (
-    "opfmodel",
-    "casadi",
-    "clarabel",
-    "cvxpy",
-    "highspy",
-    "numpy",
-    "osqp",
-    "piqp",
-    "powerio",
-    "qpsolvers",
-    "scipy",
-    "scs",
-)
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Return the versions of installed packages that affect results, including those of plugins."""
-    origins = {plugin.origin for sort in plugins.GROUPS for plugin in plugins.plugins(sort).values()}
-    found = {}
-    for package in sorted({*_PACKAGES, *origins}):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue  # optional, or a plugin outside any distribution
-    return found
+__all__ = ["machine", "revision"]
 
 
 @cache

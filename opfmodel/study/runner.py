@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from opfmodel.errors import StudyError
+from opfmodel.plugins.versions import versions
 from opfmodel.study.document import Study
 from opfmodel.study.execution import Record
 from opfmodel.study.progress import Watcher, described, live
-from opfmodel.study.provenance import machine, revision, versions
+from opfmodel.study.provenance import machine, revision
 from opfmodel.study.specification import Snapshot, Specification
 from opfmodel.study.store import Store, untrusted
 from opfmodel.study.workers import check_crew, in_this_process, on_cluster, on_local_cluster

@@ -15,16 +15,16 @@ from typing import Any
 
 from opfmodel.data.files import read_bytes
 from opfmodel.errors import ScenarioError
+from opfmodel.plugins.versions import versions
 from opfmodel.scenario import laid_over
 from opfmodel.scenario.document import Document, read_document
 from opfmodel.study.document import Study, Variation
 from opfmodel.study.files import named_files
-from opfmodel.study.provenance import versions
 
 __all__ = ["Inputs", "Snapshot", "Specification"]
 
 # Keys of a scenario that do not affect results once the variant is selected.
-_WORDS = ("name", "description", "published", "variants")
+_WORDS = ("name", "description", "published", "variants", "checkpoint")
 
 
 @dataclass(frozen=True)

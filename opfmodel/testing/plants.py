@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from tempfile import TemporaryDirectory
+
 import numpy as np
 
 from opfmodel.check import check
@@ -37,6 +39,7 @@ def check_plant(plant: Plant) -> None:
     - It returns the complete state, does not modify plans, and is reproducible.
     - Unless it needs a perfect forecast, it balances the actual demand under any forecast.
     - If it takes outages, what is out of service produces nothing.
+    - A run that is resumed, with what the plant remembers, has the same steps; see :meth:`Plant.memory`.
 
     Parameters
     ----------
@@ -59,6 +62,7 @@ def check_plant(plant: Plant) -> None:
             plan = problem.solve()
             step = plant.apply(plan)
         _check_step(rules, step, problem.arrays, plan)
+    _check_resumed(rules, plant)
     if not plant.needs_perfect_forecast:
         _check_surprise(rules, plant)
     if plant.takes_outages:
@@ -81,13 +85,35 @@ def _check_loop(rules: Contract, plant: Plant, grid: Network, formulation: str, 
     before = plan.solution.x.copy()
     plant.apply(plan)
     rules.require(np.array_equal(plan.solution.x, before), "does not modify plans")
-    for one, other in zip(first.steps, again.steps, strict=True):
-        same = one.values.keys() == other.values.keys() and all(
-            np.allclose(values, other.values[key], rtol=_REPEATED, atol=_REPEATED, equal_nan=True)
-            for key, values in one.values.items()
-        )
-        rules.require(same, "returns the same values in another run")
+    rules.require(_same_steps(first, again), "returns the same values in another run")
     _check_physics(rules, grid, first, series)
+
+
+def _check_resumed(rules: Contract, plant: Plant) -> None:
+    """A run that is resumed from what the plant remembers has the same steps."""
+    problem = MultiStage(feeder(), 2, formulation="dc", profiles=demand(_STEPS + 1))
+    controller = Controller(problem, on_infeasible="elastic")
+
+    def stop(run: Run) -> None:
+        if len(run.steps) == _STEPS - 1:
+            raise KeyboardInterrupt
+
+    with rules.rule("resumes a run"), TemporaryDirectory() as folder:
+        whole = simulate(controller, plant, _STEPS)
+        simulate(controller, plant, _STEPS, on_step=stop, checkpoint=folder)
+        resumed = simulate(controller, plant, _STEPS, checkpoint=folder)
+    rules.require(_same_steps(whole, resumed), "resumes a run from its memory, with the same values")
+
+
+def _same_steps(one: Run, other: Run) -> bool:
+    return len(one.steps) == len(other.steps) and all(
+        mine.values.keys() == theirs.values.keys()
+        and all(
+            np.allclose(values, theirs.values[key], rtol=_REPEATED, atol=_REPEATED, equal_nan=True)
+            for key, values in mine.values.items()
+        )
+        for mine, theirs in zip(one.steps, other.steps, strict=True)
+    )
 
 
 def _check_step(rules: Contract, step: Step, network: PerUnitNetwork, plan: Plan) -> None:

@@ -6,7 +6,7 @@ import io
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import nullcontext, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from typing import Any
 
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from solvers.assembly import Evaluator
 from solvers.certify import certified
 from solvers.errors import SolverOptionError
-from solvers.matrices import Matrices, MatrixMaker
+from solvers.matrices import MatrixMaker
 from solvers.program import Array, Instance, Program
 from solvers.solution import Solution, Start
 from solvers.status import SolutionStatus, TerminationCondition
@@ -82,6 +82,7 @@ class OSQPSession:
         self._options = _checked(_DEFAULTS | {"verbose": verbose} | dict(options))
         self._solver: Any = None
         self._stated: tuple[sp.csc_matrix, sp.csc_matrix] | None = None
+        self._scaled_by: Instance | None = None  # whose matrices and costs OSQP has scaled
         self._adapted = False
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
@@ -92,10 +93,9 @@ class OSQPSession:
         KeyboardInterrupt
             Ctrl-C, which OSQP catches itself.
         """
-        matrices = self._maker.at(instance)
         began = time.perf_counter()
         with nullcontext() if self._options["verbose"] else redirect_stdout(io.StringIO()):
-            found = self._call(matrices, _point(start, instance))
+            found = self._call(instance, _point(start, instance))
         seconds = time.perf_counter() - began
         termination = _TERMINATION.get(found.status, TerminationCondition.ERROR)
         if termination is TerminationCondition.INTERRUPTED:
@@ -119,11 +119,21 @@ class OSQPSession:
             )
         )
 
-    def _call(self, m: Matrices, point: tuple[Array, Array]) -> _Found:
+    def memory(self) -> dict[str, Array]:
+        """Return the instance whose scaling later ones share."""
+        scaled = self._scaled_by
+        return {} if scaled is None else {each.name: getattr(scaled, each.name) for each in fields(scaled)}
+
+    def recall(self, memory: Mapping[str, Array]) -> None:
+        """Scale by the instance that :meth:`memory` returned."""
+        with redirect_stdout(io.StringIO()):
+            self._state(Instance(**memory))
+
+    def _call(self, instance: Instance, point: tuple[Array, Array]) -> _Found:
         import osqp
 
         try:
-            self._state(m)
+            self._state(instance)
         except osqp.OSQPException as error:
             status = osqp.SolverError(error.args[0]).name
             return _Found(status, status, *point, iterations=0)
@@ -137,10 +147,11 @@ class OSQPSession:
             status, found.info.status, np.array(found.x), np.array(multipliers), int(found.info.iter)
         )
 
-    def _state(self, m: Matrices) -> None:
+    def _state(self, instance: Instance) -> None:
         """State ``minimise x' p x / 2 + q' x`` subject to ``lower <= (a; I) x <= upper``."""
         import osqp
 
+        m = self._maker.at(instance)
         stated, (lower, upper) = self._stated, m.limits
         if stated is not None and self._maker.constant:
             self._solver.update(q=m.q, l=lower, u=upper)
@@ -153,6 +164,7 @@ class OSQPSession:
                 self._stated, self._solver = None, osqp.OSQP()
                 self._solver.setup(p, m.q, a, lower, upper, **self._options)
                 self._stated = p, a
+            self._scaled_by = instance
         if self._adapted:  # the step size reached at the end of one solve does not suit the next
             self._solver.update_settings(rho=self._solver.settings.rho)
 

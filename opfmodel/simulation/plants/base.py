@@ -14,6 +14,7 @@ from opfmodel.errors import IncompatibleError
 from opfmodel.model import NumericStage
 from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.recall import Memory
 from opfmodel.simulation.outages import Outage, Outages, outages_of
 
 __all__ = ["Key", "Plant", "Step", "Values", "with_following"]
@@ -122,6 +123,20 @@ class Plant:
         state
             The state at the first step, in physical units; see :meth:`MultiStage.solve`.
         """
+
+    def memory(self) -> Memory:
+        """Return what later steps of the run depend on besides their plans; empty if on nothing.
+
+        Returns
+        -------
+        Mapping
+            Plain data: nested mappings, lists, numbers, texts and arrays, so that a run can be resumed. They
+            must not change later.
+        """
+        return {}
+
+    def recall(self, memory: Memory) -> None:
+        """Put back what :meth:`memory` returned, after :meth:`begin`, in another process for instance."""
 
     def apply(self, plan: Plan) -> Step:
         """Apply the first stage of a plan; the steps of a run arrive in chronological order.

@@ -14,6 +14,7 @@ from opfmodel.network.arrays import PerUnitNetwork
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage, Plan
 from opfmodel.plan.positions import without_moves
+from opfmodel.plan.recall import Memory, plan_memory, problem_memory, recall_problem, recalled_plan
 from opfmodel.plan.request import Request
 from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Array, Key, Plant, Step, Values, with_following
@@ -45,6 +46,7 @@ class ACPlant(Plant):
         self._last: Plan | None = None
         self._before: Array | None = None
         self._next = 0
+        self._memory: Memory | None = None  # to be put back when the own problem has been made
 
     def begin(self, problem: MultiStage, state: Initial | None = None) -> None:
         """Start a run; the plant recompiles its own problem only if the controller's is a new one."""
@@ -54,9 +56,25 @@ class ACPlant(Plant):
             self._controlled, self._own = problem, None
             names, known = problem.arrays.generator.names, problem.profiles
             self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
-        self._last, self._next = None, 0
+        self._last, self._next, self._memory = None, 0, None
         before = (state or {}).get("pg") if problem.generator_delay == 0 else None
         self._before = None if before is None else np.asarray(before, dtype=float) / problem.arrays.base_mva
+
+    def memory(self) -> Memory:
+        """Return the generation and the state of the last step, from which the next one starts."""
+        if self._own is None or self._memory is not None:
+            return self._memory or {}
+        return {
+            "next": self._next,
+            "before": self._before,
+            "last": None if self._last is None else plan_memory(self._own, self._last),
+            "problem": problem_memory(self._own),
+        }
+
+    def recall(self, memory: Memory) -> None:
+        """Put back what :meth:`memory` returned; the own problem is compiled at the next plan."""
+        if memory:
+            self._memory, self._next = memory, memory["next"]
 
     def apply(self, plan: Plan) -> Step:
         """Find the physical state of the first stage of a plan, at the realised demand.
@@ -72,6 +90,11 @@ class ACPlant(Plant):
             self.begin(plan.problem)
         if self._own is None:
             self._own = self.make(plan)
+        if self._memory is not None:
+            recall_problem(self._own, self._memory["problem"])
+            last, self._before = self._memory["last"], self._memory["before"]
+            self._last = None if last is None else recalled_plan(self._own, last)
+            self._memory = None
         network = self._happening.network(plan.problem, plan.time)
         moves = [(s.kind, f"{s.name}_moves") for s in plan.model.settings.values()]
         planned = {
