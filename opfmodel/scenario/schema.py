@@ -420,7 +420,7 @@ class CheckpointSection(Section):
     steps: int | None = Field(None, ge=1, description="write after so many steps, at least 1")
     seconds: Annotated[float, Field(ge=0), In("s")] | None = Field(
         None,
-        description="write after a step that ends more than so many seconds after the last writing; 60 if no "
+        description="write after a step that ends more than so many seconds after the last writing; 30 if no "
         "number of steps is stated",
     )
 

@@ -4,6 +4,7 @@
 ``state.npz``       digests of the inputs, the number of steps done, what the next step depends on,
                     and the list of the other files with their checksums
 ``steps-N.npz``     outcome and record of some steps from step N on; written once
+``lock``            held by the process that writes; the operating system releases it
 ==================  ===============================================================================
 
 Every checkpoint writes one more file of steps and then replaces the state, so that the folder is complete at
@@ -18,9 +19,10 @@ import re
 import time as clock
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -36,12 +38,15 @@ from opfmodel.simulation.plants.base import Plant, Step
 from opfmodel.simulation.run import Run
 from solvers.interrupt import deferred
 
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
+
 __all__ = ["Checkpoint", "Keeper", "Saved"]
 
 _SCHEMA = 1  # increase it to refuse older files
-_STATE = "state.npz"
+_STATE, _LOCK = "state.npz", "lock"
 _FILES = re.compile(r"state\.npz|steps-[0-9]+\.npz")
-_SECONDS = 60.0
+_SECONDS = 30.0
 _CLOSE = 1e-6  # relative and in physical units: initial states that a solver found on another machine
 
 
@@ -85,7 +90,7 @@ class Checkpoint:
     steps
         Write after so many steps.
     seconds
-        Write after a step that ends more than so many seconds after the last writing; 60 by default, if there
+        Write after a step that ends more than so many seconds after the last writing; 30 by default, if there
         is no number of steps. Both may be given.
     """
 
@@ -153,26 +158,58 @@ class Checkpoint:
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise ResultError(f"{self.state}: not a checkpoint of opfmodel: {error!r}") from error
 
-    def remove(self) -> None:
-        """Delete the files, and the folder if nothing else is in it.
+    def locked(self) -> BaseFileLock:
+        """Create the folder and lock it for this process, until the lock is released or the process ends.
+
+        Raises
+        ------
+        ResultError
+            The folder cannot be created, or another process holds the lock.
+        """
+        from filelock import FileLock, Timeout
+
+        lock = FileLock(self.path / _LOCK, timeout=0)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock.acquire()
+        except Timeout:
+            raise ResultError(f"{self.path}: a run in another process writes to this checkpoint") from None
+        except OSError as error:
+            raise _unwritable(self, error) from error
+        return lock
+
+    def clear(self) -> None:
+        """Delete the files of the checkpoint.
 
         Raises
         ------
         ResultError
             They cannot be deleted.
         """
-        if not self.path.is_dir():
-            return
         try:
             self.state.unlink(missing_ok=True)  # first: without it the others mean nothing
-            remove_temporaries(self.path, _FILES)
-            for path in list(self.path.iterdir()):
-                if _FILES.fullmatch(path.name):
-                    path.unlink()
-            if not any(self.path.iterdir()):
-                self.path.rmdir()
+            if self.path.is_dir():
+                remove_temporaries(self.path, _FILES)
+                for path in list(self.path.iterdir()):
+                    if _FILES.fullmatch(path.name):
+                        path.unlink()
         except OSError as error:
             raise ResultError(f"{self.path}: cannot be deleted: {error.strerror or error}") from error
+
+    def remove(self) -> None:
+        """Delete the files of the checkpoint, and the folder if nothing else is in it.
+
+        Raises
+        ------
+        ResultError
+            They cannot be deleted, or another process writes them.
+        """
+        if self.path.is_dir():
+            with self.locked():
+                self.clear()
+            with suppress(OSError):  # other files are not ours
+                (self.path / _LOCK).unlink(missing_ok=True)
+                self.path.rmdir()
 
     def _head(self) -> dict[str, Any]:
         head = unpacked(self.state, "a checkpoint")
@@ -204,19 +241,26 @@ class Keeper:
     Raises
     ------
     ResultError
-        The folder holds a checkpoint that is damaged or of other inputs.
+        The folder cannot be created, another process writes there, or it holds a checkpoint that is damaged
+        or of other inputs.
     """
 
     def __init__(self, checkpoint: Checkpoint, inputs: Mapping[str, str], initial: Initial | None) -> None:
         self.checkpoint, self.inputs, self.initial = checkpoint, dict(inputs), initial
-        self.saved = checkpoint.load()
+        self._lock = checkpoint.locked()
         self._files: list[tuple[int, int, str]] = []
         self._now: dict[str, Any] = {}
         self._done = self._written = 0
         self._since = clock.perf_counter()
         self._failed = False
+        try:
+            self.saved = checkpoint.load()
+            if self.saved is not None:
+                self._check(self.saved)
+        except ResultError:
+            self._lock.release()
+            raise
         if self.saved is not None:
-            self._check(self.saved)
             self.initial, self._files = self.saved.initial, self.saved.files
             self._done = self._written = len(self.saved.steps)
 
@@ -241,12 +285,12 @@ class Keeper:
         """
         saved = self.saved
         if saved is None:
-            self.checkpoint.remove()
+            self.checkpoint.clear()
             self._now = {"state": self.initial, "controller": controller.memory(), "plant": plant.memory()}
             try:
-                self.checkpoint.path.mkdir(parents=True, exist_ok=True)
                 self._replace(run)
             except OSError as error:
+                self._lock.release()
                 self.checkpoint.remove()
                 raise _unwritable(self.checkpoint, error) from error
             return 0, self.initial
@@ -283,6 +327,17 @@ class Keeper:
                     text = f"{_unwritable(self.checkpoint, error)}; it holds the first {self._written} steps"
                     warnings.warn(f"{text}, and the run goes on", ResultWarning, stacklevel=3)
                 self._failed = True
+
+    def end(self, run: Run) -> None:
+        """Write what is not written yet, and let other processes continue the run.
+
+        Signals that ask the process to end are ignored meanwhile: the run ends anyway.
+        """
+        try:
+            with suppress(KeyboardInterrupt):
+                self.write(run)
+        finally:
+            self._lock.release()
 
     def _replace(self, run: Run) -> None:
         first, last = self._written, self._done

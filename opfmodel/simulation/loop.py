@@ -113,7 +113,7 @@ def simulate(
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
         finally:
             if keeper is not None:
-                keeper.write(run)
+                keeper.end(run)
     return run
 
 
