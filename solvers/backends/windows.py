@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from solvers.placewise import PlacewiseEvaluator
 from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
-from solvers.solve import back_ends, installed, prepare
+from solvers.solve import back_ends, installed, prepare, session_memory
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, classify
 from solvers.windows.chain import Chain, Sessions
@@ -67,31 +68,51 @@ class WindowsSession:
         self._verbose = verbose
         self._evaluator = PlacewiseEvaluator(program)
         self.trace: list[Sweep] = []
-        self.overlap = 0
+        self.overlap = 0  # not known yet
+        self._cut: _Cut | None = None
+        self._recalled: Mapping[str, Mapping[str, Any]] = {}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance by sweeps over the windows."""
-        settings = self._settings
-        staged = Staged(self._program, instance)
-        length = self._length(staged)
-        self.overlap = self._overlap(staged, length, instance)
-        alone = spans(staged.stages, length, self.overlap)
-        chains = _split(len(alone), settings.workers)
-        cut = spans(staged.stages, length, self.overlap, frozenset(chain[0] for chain in chains))
-        partition = Partition(staged, [[cut[number] for number in chain] for chain in chains])
-        sessions = Sessions(partition.programs, self._solver, self._options)
-        made = [Chain(sessions, _pieces(chain, instance)) for chain in partition.chains]
+        settings, cut = self._settings, self._cut_for(instance)
+        made = [Chain(cut.sessions, *_pieces(chain, instance, start)) for chain in cut.partition.chains]
         with crew(made, settings) as solve:
-            sweeps = Sweeps(partition, instance, solve, self._evaluator, settings.proximal, start)
+            sweeps = Sweeps(cut.partition, instance, solve, self._evaluator, settings.proximal, start)
             self.trace = sweeps.trace
             while not sweeps.done(settings.tolerance) and len(self.trace) < settings.sweeps:
                 sweeps.sweep()
                 if self._verbose and self.trace:
                     sys.stdout.write(f"{self.trace[-1]}\n")
         if sweeps.failed is None and self.trace[-1].jump > _JUMP:
-            rest = Partition(staged, [alone[chains[1][0] :]])
-            sweeps.close(rest.windows, Sessions(rest.programs, self._solver, self._options))
-        return self._solution(sweeps, len(alone), instance)
+            behind = Partition(cut.staged, [cut.alone[len(cut.partition.chains[0]) :]])
+            sweeps.close(behind.windows, Sessions(behind.programs, self._solver, self._options))
+        return self._solution(sweeps, len(cut.alone), instance)
+
+    def memory(self) -> dict[str, Any]:
+        """Return the measured overlap and what the back end of the windows remembers."""
+        sessions = {} if self._cut is None else self._cut.sessions
+        known = {key.hex(): session_memory(session) for key, session in sessions.items()}
+        return {"overlap": self.overlap, "sessions": {key: kept for key, kept in known.items() if kept}}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Put back what :meth:`memory` returned."""
+        self.overlap, self._recalled, self._cut = int(memory["overlap"]), memory["sessions"], None
+
+    def _cut_for(self, instance: Instance) -> _Cut:
+        """Return the program cut into windows; again the last one, if the same rows are in force."""
+        free = np.isneginf(instance.row_lower) & np.isposinf(instance.row_upper)
+        if self._cut is not None and np.array_equal(free, self._cut.free):
+            return self._cut
+        staged = Staged(self._program, instance)
+        length = self._length(staged)
+        self.overlap = self.overlap or self._overlap(staged, length, instance)
+        alone = spans(staged.stages, length, self.overlap)
+        chains = _split(len(alone), self._settings.workers)
+        led = spans(staged.stages, length, self.overlap, frozenset(chain[0] for chain in chains))
+        partition = Partition(staged, [[led[number] for number in chain] for chain in chains])
+        sessions = Sessions(partition.programs, self._solver, self._options, self._recalled)
+        self._cut = _Cut(free, staged, alone, partition, sessions)
+        return self._cut
 
     def _length(self, staged: Staged) -> int:
         """Return the number of stages that a window has of its own."""
@@ -152,8 +173,31 @@ class WindowsSession:
         )
 
 
-def _pieces(chain: list[Window], instance: Instance) -> list[Piece]:
-    return [Piece.of(window, instance, before) for before, window in zip([None, *chain], chain, strict=False)]
+class _Cut(NamedTuple):
+    """A program cut into windows.
+
+    Attributes
+    ----------
+    free
+        The rows that are not in force.
+    alone
+        The windows of a single chain.
+    """
+
+    free: npt.NDArray[np.bool_]
+    staged: Staged
+    alone: list[Span]
+    partition: Partition
+    sessions: Sessions
+
+
+def _pieces(
+    chain: list[Window], instance: Instance, start: Start | None
+) -> tuple[list[Piece], list[Start | None]]:
+    """Return the windows of a chain, and their parts of a start."""
+    before = [None, *chain]
+    pieces = [Piece.of(window, instance, last) for last, window in zip(before, chain, strict=False)]
+    return pieces, [None if start is None else window.start(start) for window in chain]
 
 
 def _split(windows: int, workers: int) -> list[list[int]]:

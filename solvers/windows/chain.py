@@ -10,7 +10,7 @@ import numpy as np
 
 from solvers.program import Array, Program
 from solvers.solution import Start
-from solvers.solve import Session, prepare
+from solvers.solve import Session, prepare, recall_session
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.windows.piece import End, Piece
 
@@ -18,15 +18,30 @@ __all__ = ["Chain", "Found", "Sessions"]
 
 
 class Sessions(dict[bytes, Session]):
-    """Compiled programs by structure, each compiled when it is first needed."""
+    """Compiled programs by structure, each compiled when it is first needed.
 
-    def __init__(self, programs: Mapping[bytes, Program], solver: str, options: Mapping[str, Any]) -> None:
+    Parameters
+    ----------
+    recalled
+        What the sessions remember, by the structure in hexadecimal digits; see
+        :func:`solvers.solve.session_memory`.
+    """
+
+    def __init__(
+        self,
+        programs: Mapping[bytes, Program],
+        solver: str,
+        options: Mapping[str, Any],
+        recalled: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         super().__init__()
         self._programs = programs
         self._solver, self._options = solver, dict(options)
+        self._recalled = recalled or {}
 
     def __missing__(self, structure: bytes) -> Session:
         self[structure] = prepare(self._programs[structure], self._solver, self._options)
+        recall_session(self[structure], self._recalled.get(structure.hex(), {}))
         return self[structure]
 
 

@@ -159,9 +159,8 @@ class Sweeps:
             if not came:
                 continue
             handed = self._joints.get(window.span.end)
-            inside = window.inside
-            point = (self.x[inside], self.lam_x[inside], self.lam_g[window.rows], self.z[window.cones])
-            chain = Chain(sessions, [Piece.of(window, self._instance)], [Start(*point)])
+            point = window.start(Start(self.x, self.lam_x, self.lam_g, self.z))
+            chain = Chain(sessions, [Piece.of(window, self._instance)], [point])
             before = None if handed is None else self.x[handed.variables]
             result = chain.solve(0, self.x[window.before], self._end(window))
             self._take(window, result)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from solvers.program import POSITION, Array, Block, Cone, Index, Instance, Placement, Program
+from solvers.solution import Start
 from solvers.template import Template
 from solvers.windows.staged import Ordered, Staged
 
@@ -243,6 +244,17 @@ class Window:
             row_lower=instance.row_lower[self.rows],
             row_upper=instance.row_upper[self.rows],
             start=instance.start[inside],
+        )
+
+    def start(self, start: Start) -> Start:
+        """Return the window's part of a starting point of the whole program."""
+        inside = self.inside
+        return Start(
+            start.x[inside],
+            None if start.lam_x is None else start.lam_x[inside],
+            None if start.lam_g is None else start.lam_g[self.rows],
+            None if start.z is None else start.z[self.cones],
+            start.moved,
         )
 
     @cached_property
