@@ -1,5 +1,6 @@
 # make run    install; run the economic NMPC of the 5-bus system; save trajectories and a figure
 # make test   install the test dependencies; run the tests except the slow ones
+# make test-examples  run the properties with ten times as many random examples
 # make fuzz   run mutated inputs for SECONDS (300); write the counts to docs/inputs.md
 # make check  check style, types and layers
 # make table  run the closed loops of the paper's four systems; write docs/paper-table.md and its figures
@@ -14,7 +15,7 @@ PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
 # The processes that tests start need not compile this package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-slow fuzz check table bench generated pglib clean
+.PHONY: run test test-slow test-examples fuzz check table bench generated pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -24,6 +25,9 @@ test: .venv/.test
 
 test-slow: .venv/.slow
 	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
+
+test-examples: .venv/.test
+	$(BIN)/python -m pytest -q $(PARALLEL) -m "hypothesis and not slow" --hypothesis-profile thorough
 
 fuzz: .venv/.test
 	$(BIN)/python -m tests.fuzz --seconds $(SECONDS) --docs docs/inputs.md

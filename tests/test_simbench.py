@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,12 @@ def grid() -> om.Network:
         return om.read_network(f"simbench:{CODE}")
 
 
-def test_series_are_those_of_simbench(grid: om.Network) -> None:
-    net = simbench.get_simbench_net(CODE)
+@pytest.fixture(scope="module")
+def net() -> Any:
+    return simbench.get_simbench_net(CODE)
+
+
+def test_series_are_those_of_simbench(grid: om.Network, net: Any) -> None:
     values = simbench.get_absolute_values(net, profiles_instead_of_study_cases=True)
     assert grid.profiles.length == len(net.profiles["load"]) == 366 * 96
     for table, column, field in (("load", "p_mw", "p"), ("load", "q_mvar", "q"), ("sgen", "p_mw", "p_max")):
@@ -35,16 +40,15 @@ def test_series_are_those_of_simbench(grid: om.Network) -> None:
             np.testing.assert_array_equal(grid.profiles[name, field], expected)
 
 
-def test_stamps_are_those_of_simbench(grid: om.Network) -> None:
+def test_stamps_are_those_of_simbench(grid: om.Network, net: Any) -> None:
     calendar = grid.profiles.calendar
-    stated = simbench.get_simbench_net(CODE).profiles["load"]["time"]
+    stated = net.profiles["load"]["time"]
     pandas = pytest.importorskip("pandas")
     local = pandas.DatetimeIndex(calendar.stamps(len(stated))).tz_localize("UTC").tz_convert(calendar.zone)
     assert local.strftime("%d.%m.%Y %H:%M").tolist() == stated.tolist()
 
 
-def test_storages_and_generators_are_decided(grid: om.Network) -> None:
-    net = simbench.get_simbench_net(CODE)
+def test_storages_and_generators_are_decided(grid: om.Network, net: Any) -> None:
     for _, row in net.storage.iterrows():
         battery = grid[row["name"]]
         assert battery.power == (-row.sn_mva, row.sn_mva)
