@@ -11,6 +11,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 SECONDS ?= 300
 PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
+# Many of the slow tests wait for processes that they started.
+PARALLEL_SLOW ?= -n 4 --dist worksteal
 
 # The processes that tests start need not compile this package again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -24,7 +26,7 @@ test: .venv/.test
 	$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
 
 test-slow: .venv/.slow
-	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
+	$(BIN)/python -m pytest -q $(PARALLEL_SLOW) -m slow
 
 test-examples: .venv/.test
 	$(BIN)/python -m pytest -q $(PARALLEL) -m "hypothesis and not slow" --hypothesis-profile thorough

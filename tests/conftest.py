@@ -105,6 +105,13 @@ def pglib_baseline() -> dict[str, dict[str, str]]:
         return {row["case"]: row for row in csv.DictReader(stream)}
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest of the slow tests, which would else keep one process at the end."""
+    items.sort(
+        key=lambda item: -max((m.kwargs.get("minutes", 0) for m in item.iter_markers("slow")), default=0)
+    )
+
+
 @pytest.fixture(scope="session")
 def example_plugins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder into which the distribution of ``tests/plugins`` is installed."""

@@ -23,8 +23,8 @@ REFERENCE = json.loads(PROGRAM.with_name("reference.json").read_text(encoding="u
 SYSTEMS = [
     "case5-step",
     pytest.param("case5-random", marks=pytest.mark.slow),
-    pytest.param("case118-step", marks=pytest.mark.slow),
-    pytest.param("case118-random", marks=pytest.mark.slow),
+    pytest.param("case118-step", marks=pytest.mark.slow(minutes=3)),
+    pytest.param("case118-random", marks=pytest.mark.slow(minutes=3)),
 ]
 
 

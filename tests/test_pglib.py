@@ -106,8 +106,10 @@ def library() -> Path:
 
 @pytest.mark.slow
 def test_every_case_of_the_library_is_read(library: Path) -> None:
-    files = [f for f in library.rglob("*.m") if int(re.search(r"case([0-9]+)", f.stem)[1]) <= 3000]
-    assert len(files) >= 111
+    buses = {f: int(re.search(r"case([0-9]+)", f.stem)[1]) for f in library.rglob("*.m")}
+    # the variants of a case differ in a few columns
+    files = [f for f, number in buses.items() if number <= (1000 if "__" in f.stem else 3000)]
+    assert len(files) >= 79
     for file in files:
         assert len(om.read_network(file)) > 0
 

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="watches process
 
 SEED = 20261125
 FAST = {"scenario": 40, "network": 40, "table": 30, "study": 25, "record": 40, "result": 12, "override": 40}
-SLOW = dict.fromkeys(KINDS, 80) | {"pandapower": 50, "pypsa": 40, "result": 25}
+SLOW = dict.fromkeys(KINDS, 50) | {"pandapower": 30, "pypsa": 25, "result": 20}
 FOUND = sorted((Path(__file__).parent / "found").glob("*/case.json"))
 
 
