@@ -98,9 +98,12 @@ class Noisy(Forecast):
 
     def _error(self, entropy: list[int], shape: tuple[int, int], share: float) -> Array:
         """Return relative errors with a share of the variance, over the second axis."""
-        from scipy.signal import lfilter  # a large module, for this forecast alone
-
         if not share:
             return np.zeros(shape)
-        shocks = math.sqrt(share) * self.deviation * np.random.default_rng(entropy).standard_normal(shape)
-        return np.asarray(lfilter([1.0], [1.0, -self.correlation], shocks))
+        error = math.sqrt(share) * self.deviation * np.random.default_rng(entropy).standard_normal(shape)
+        lag = 1
+        # error[k] += correlation * error[k - 1], by doubling; scipy.signal.lfilter takes a second to import
+        while lag < shape[1]:
+            error[:, lag:] = error[:, lag:] + self.correlation**lag * error[:, :-lag]
+            lag *= 2
+        return error
