@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from solvers.matrices import Matrices, MatrixMaker
 from solvers.program import Array, Cone
@@ -92,9 +91,11 @@ def _corrected(rows: Array, m: Matrices, residual: Array, at: npt.NDArray[np.int
 
     Shares of their magnitude, so that no inactive inequality becomes active and signs stay as they are.
     """
+    from scipy.sparse.linalg import lsmr
+
     if not at.size:
         return rows
     weight = np.where(m.row_lower == m.row_upper, 1.0 + np.abs(rows), np.abs(rows))
     weighted = (sp.diags_array(weight) @ m.a[:, at]).tocsc()
-    share = spla.lsmr(weighted.T, -residual[at], atol=1e-15, btol=1e-15, conlim=0.0)[0]
+    share = lsmr(weighted.T, -residual[at], atol=1e-15, btol=1e-15, conlim=0.0)[0]
     return _one_sided(rows + weight * share, m)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from solvers.assembly import Evaluator
 from solvers.errors import ProgramError
@@ -92,8 +91,10 @@ def find_root(
 
 def _step(jacobian: sp.csc_matrix, values: Array) -> Array | None:
     """Return the Newton step; None if the Jacobian is singular."""
+    from scipy.sparse.linalg import splu
+
     try:
-        step: Array = spla.splu(jacobian).solve(-values)
+        step: Array = splu(jacobian).solve(-values)
     except RuntimeError:
         return None
     return step

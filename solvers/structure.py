@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from solvers.program import Array, Index, Instance, Placement, Program
 from solvers.template import Degree
@@ -142,10 +141,12 @@ def _is_positive_semidefinite(matrix: sp.csc_array) -> bool:
     Elimination without interchanges is stable for a positive definite matrix, and only for such a
     matrix are all pivots positive.
     """
+    from scipy.sparse.linalg import splu
+
     lift = _NEGATIVE * np.abs(matrix.data).max(initial=1e-12)
     lifted = (matrix + lift * sp.eye_array(matrix.shape[0])).tocsc()
     try:
-        factors = spla.splu(
+        factors = splu(
             lifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
     except RuntimeError:  # a pivot of zero

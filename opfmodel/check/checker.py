@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from itertools import chain
 from operator import attrgetter
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +16,7 @@ from opfmodel.check.report import Report, Violation
 from opfmodel.check.trajectories import Array, Bounds, Complex, Data, Items, Series, Trajectories
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Load, Shunt
+from opfmodel.network.islands import connected
 from opfmodel.network.network import Network
 
 __all__ = ["Checker"]
@@ -239,8 +239,6 @@ class Checker:
 
     def islands(self) -> list[list[str]]:
         """Groups of buses connected by branches in service."""
-        graph = nx.Graph()
-        graph.add_nodes_from(self.position)
         pairs = [b.buses for b in self.network.of(Branch).values() if b.in_service]
-        graph.add_edges_from(pair for pair in pairs if self.position.keys() >= set(pair))
-        return [sorted(members) for members in nx.connected_components(graph)]
+        within = (pair for pair in pairs if self.position.keys() >= set(pair))
+        return [sorted(members) for members in connected(self.position, within)]

@@ -46,9 +46,6 @@ def solve(
     drawn from its own. A bound is the optimum of a relaxation of the same problem; if that is proven
     infeasible, so is the problem.
     """
-    from opfmodel.analysis.bound import certify, check_bounded
-    from opfmodel.plan.commitment import plan_with_commitment
-
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
@@ -60,9 +57,13 @@ def solve(
         problem.verbose = verbose
         asked = controller.request(0)
         if bound:
+            from opfmodel.analysis.bound import certify, check_bounded
+
             check_bounded(problem)
         commitments: list[Commitment] = []
         if controller.commit == "milp":
+            from opfmodel.plan.commitment import plan_with_commitment
+
             plan, commitments = plan_with_commitment(problem, initial=initial)
             problem = plan.problem
         else:

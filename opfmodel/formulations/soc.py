@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from opfmodel.formulations.base import (
     Formulation,
@@ -198,6 +197,8 @@ def _loose(model: Model) -> npt.NDArray[np.bool_]:
 
 def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
     """Return the largest difference between branch angles and the bus angles that fit them best."""
+    from scipy.sparse.linalg import splu
+
     branch, n = network.branch, len(network.bus)
     rows = np.arange(len(branch))
     across = sp.coo_array(
@@ -211,7 +212,7 @@ def _angle_mismatch(network: PerUnitNetwork, angle: Array) -> float:
     across, angle = across[~free], angle[~free]
     fixed = np.full(n, _UNTIED)
     fixed[network.reference] = 1.0
-    fit = spla.splu((across.T @ across + sp.diags_array(fixed)).tocsc()).solve(across.T @ angle)
+    fit = splu((across.T @ across + sp.diags_array(fixed)).tocsc()).solve(across.T @ angle)
     return float(np.abs(angle - across @ fit).max())
 
 

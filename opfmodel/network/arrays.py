@@ -12,17 +12,16 @@ from functools import cached_property
 from itertools import chain
 from typing import Any
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 from opfmodel.errors import ComponentError, NetworkError, listed, nearest, raise_all
 from opfmodel.network.component import Component
 from opfmodel.network.components import BUILT_IN, Branch, Bus, Connection, Generator
 from opfmodel.network.costs import Cost, PiecewiseLinear, Polynomial
 from opfmodel.network.fields import is_adjustable
+from opfmodel.network.islands import connected
 from opfmodel.network.network import Network
 from opfmodel.network.physics import Admittance, branch_admittance
 from opfmodel.network.polygon import half_planes
@@ -195,6 +194,8 @@ class PerUnitNetwork:
         angle = np.zeros((n, 1))
         if not branch.shift.any():
             return angle
+        from scipy.sparse.linalg import spsolve  # a large module, for phase shifters alone
+
         weight = 1.0 / np.hypot(branch.r, branch.x)[:, 0]
         ends = np.concatenate([branch.from_bus, branch.to_bus])
         incidence = sp.csr_matrix(
@@ -258,14 +259,10 @@ def _lay_out(network: Network) -> PerUnitNetwork:
     if dropped:
         notes.append(f"out of service, left out: {listed(map(repr, dropped))}")
     notes.extend(_broken_rules(network))
-    graph = nx.Graph()
-    graph.add_nodes_from(buses)
-    graph.add_edges_from(c.buses for c in kept.values() if isinstance(c, Branch))
     occupied = {bus for c in kept.values() if not isinstance(c, Bus) for bus in c.buses}
     isolated = [b for b in buses if b not in occupied and len(buses) > 1]
     if isolated:
         notes.append(f"isolated buses with nothing connected, left out: {listed(map(repr, isolated))}")
-        graph.remove_nodes_from(isolated)
     lonely = set(isolated)
     kept = {n: c for n, c in kept.items() if n not in lonely}
     names = [b for b in buses if b not in lonely]
@@ -282,10 +279,8 @@ def _lay_out(network: Network) -> PerUnitNetwork:
         for kind in kinds
     }
     tables = {name: _with_weights(table, tables, kept) for name, table in tables.items()}
-    islands = sorted(
-        (sorted(i, key=position.__getitem__) for i in nx.connected_components(graph)),
-        key=lambda i: position[i[0]],
-    )
+    pairs = (c.buses for c in kept.values() if isinstance(c, Branch))
+    islands = [sorted(island, key=position.__getitem__) for island in connected(names, pairs)]
     if len(islands) > 1:
         notes.append(f"{len(islands)} islands, each with its own reference bus")
     island = np.zeros(len(names), dtype=np.intp)

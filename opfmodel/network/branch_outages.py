@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
 from opfmodel.network.physics import Admittance, branch_flow, polar_products
 from opfmodel.network.shares import WIDE
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import SuperLU
 
 __all__ = ["ACOutages", "DCOutages", "Reserve"]
 
@@ -74,6 +77,8 @@ class DCOutages:
 
     def survived(self, out: Index) -> Mask:
         """Return for each branch whether flows and angles are within limits after its outage."""
+        from scipy.sparse.linalg import splu
+
         network, branch = self.network, self.network.branch
         free = np.setdiff1d(np.arange(len(network.bus)), network.reference)
         signs = np.repeat([1.0, -1.0], len(branch))
@@ -82,7 +87,7 @@ class DCOutages:
         matrix = across.T @ sp.diags_array(self.slope) @ across
         made = []
         try:
-            factors = spla.splu(matrix.tocsc())
+            factors = splu(matrix.tocsc())
         except RuntimeError:
             return np.zeros(out.size, dtype=bool)
         for chosen in _batches(out):
@@ -190,8 +195,10 @@ class ACOutages:
         return np.setdiff1d(buses, self.network.reference), np.setdiff1d(buses, held)
 
     @cached_property
-    def _factors(self) -> spla.SuperLU | None:
+    def _factors(self) -> SuperLU | None:
         """Factorised Jacobian of all missing powers; None if it is singular."""
+        from scipy.sparse.linalg import splu
+
         v, (angles, magnitudes) = self.vm * np.exp(1j * self.va), self._unknown
         current = self._matrix @ v
         by_angle = (
@@ -208,7 +215,7 @@ class ACOutages:
             ],
         ]
         try:
-            return spla.splu(sp.csc_array(sp.block_array(blocks)))
+            return splu(sp.csc_array(sp.block_array(blocks)))
         except RuntimeError:
             return None
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +15,7 @@ from opfmodel.errors import ModelError, SecurityError, listed, nearest, shown
 from opfmodel.horizon import Horizon
 from opfmodel.model import Model
 from opfmodel.network.arrays import OUTAGES, Index, PerUnitNetwork
+from opfmodel.network.islands import connected
 from solvers import Program
 
 __all__ = [
@@ -105,9 +105,9 @@ def check_whole(out: Sequence[str], network: PerUnitNetwork, what: str, *place: 
     if not set(out) & set(network.branch.names):
         return
     rest = set(range(len(network.bus)))
-    for part in nx.connected_components(_graph(network, out)):
-        if part & set(network.reference.tolist()):
-            rest -= part
+    for part in connected(rest, (ends for _, *ends in _branches(network, out))):
+        if not set(part).isdisjoint(network.reference.tolist()):
+            rest.difference_update(part)
     if rest:
         load = float(_demand(network)[list(rest)].sum())
         one = len(out) == 1
@@ -118,14 +118,11 @@ def check_whole(out: Sequence[str], network: PerUnitNetwork, what: str, *place: 
         )
 
 
-def _graph(network: PerUnitNetwork, out: Iterable[str] = ()) -> nx.Graph:
-    """Return the buses with the branches that are left."""
+def _branches(network: PerUnitNetwork, out: Iterable[str] = ()) -> Iterator[tuple[str, int, int]]:
+    """Yield name and ends of the branches that are left."""
     branch, lost = network.branch, set(out)
-    graph = nx.Graph()
-    graph.add_nodes_from(range(len(network.bus)))
     ends = zip(branch.names, branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True)
-    graph.add_edges_from((f, t) for name, f, t in ends if name not in lost)
-    return graph
+    yield from (each for each in ends if each[0] not in lost)
 
 
 def _demand(network: PerUnitNetwork) -> Array:
@@ -148,12 +145,14 @@ def cut_off(network: PerUnitNetwork, out: Iterable[str] = ()) -> list[tuple[str,
     out
         Components that are out of service already; they do not split it.
     """
-    branch, lost = network.branch, set(out)
-    graph = _graph(network, lost)
+    import networkx as nx
+
     circuits: dict[frozenset[int], list[str]] = {}
-    for name, f, t in zip(branch.names, branch.from_bus.tolist(), branch.to_bus.tolist(), strict=True):
-        if name not in lost:
-            circuits.setdefault(frozenset((f, t)), []).append(name)
+    for name, f, t in _branches(network, out):
+        circuits.setdefault(frozenset((f, t)), []).append(name)
+    graph = nx.Graph()
+    graph.add_nodes_from(range(len(network.bus)))
+    graph.add_edges_from((f, t) for _, f, t in _branches(network, out))
     demand = _demand(network)
     capacity = sum(
         network.at_buses(kind, network.tables[kind].arrays[field]).max(axis=1) * network.base_mva

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from opfmodel.errors import ModelError, nearest
 from opfmodel.network.arrays import Array, Index, PerUnitNetwork, Table
@@ -76,6 +75,8 @@ class Held:
         A start for Newton's method only; unlike the DC formulations it has a solution also for
         branches without or with negative reactance.
         """
+        from scipy.sparse.linalg import spsolve
+
         network, branch = self.network, self.network.branch
         count = len(network.bus)
         weight = (1.0 / np.hypot(branch.r, branch.x))[:, 0]
@@ -90,7 +91,7 @@ class Held:
         unknown = np.flatnonzero(free)
         if unknown.size:
             known = laplacian[unknown][:, self.reference] @ angles[self.reference]
-            angles[unknown] = spla.spsolve(laplacian[unknown][:, unknown], power[unknown] - known)
+            angles[unknown] = spsolve(laplacian[unknown][:, unknown], power[unknown] - known)
         return angles
 
     def _injections(self, shares: Array) -> Array:

@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 
@@ -20,6 +19,7 @@ from opfmodel.errors import CaseError, listed
 from opfmodel.network.cases.pandapower.source import Row, Source, refusals
 from opfmodel.network.cases.warn import warn
 from opfmodel.network.components import Branch, Bus, Shunt
+from opfmodel.network.islands import connected
 from opfmodel.network.network import Network
 from opfmodel.network.physics import branch_admittance
 
@@ -186,11 +186,8 @@ class Grid:
         """Report references beyond the first of an island."""
         from pandapower.pypower.idx_brch import BR_STATUS, F_BUS, T_BUS
 
-        graph = nx.Graph()
-        graph.add_nodes_from(references)
         closed = self._branch[self._branch[:, BR_STATUS] > 0]
-        graph.add_edges_from(closed[:, [F_BUS, T_BUS]].astype(int).tolist())
-        for island in nx.connected_components(graph):
+        for island in map(set, connected(references, closed[:, [F_BUS, T_BUS]].astype(int).tolist())):
             members = [item for row, item in references.items() if row in island]
             for item in members[1:]:
                 self.source.losses.add(
