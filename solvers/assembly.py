@@ -298,6 +298,8 @@ class Evaluator:
             for vector, positions in ((x, output.variables), (p, output.parameters))
         )
         count = output.items * output.stages
+        if not count:
+            return np.zeros(shape)
         if template.is_identity:
             return variables[0].reshape(shape, order="F")
         at = (np.reshape(values, (len(values), count)) for values in (variables, parameters))

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import re
+import subprocess
+import sys
+from importlib.metadata import requires
+from pathlib import Path
 
 import pytest
 
@@ -48,3 +53,34 @@ def test_a_component_is_one_class_under_every_path() -> None:
 
 def test_every_name_of_the_stub_is_there() -> None:
     assert {name for name in opfmodel.__all__ if getattr(opfmodel, name, None) is None} == set()
+
+
+CASE14 = Path(__file__).parent / "data" / "pglib" / "pglib_opf_case14_ieee.m"
+NEEDED = {"casadi", "numpy", "opfmodel", "powerio", "scipy", "solvers", "typer"}
+"""What ``opfmodel solve`` of a network file takes, of the packages that opfmodel requires."""
+
+LARGE = ("scipy.linalg", "scipy.optimize", "scipy.special", "scipy.sparse.linalg", "opfmodel.analysis")
+"""Large parts of these packages that it does without."""
+
+
+def test_to_solve_a_network_file_imports_only_what_it_needs() -> None:
+    script = """
+import sys
+from opfmodel.cli import main
+try:
+    main()
+except SystemExit as stop:
+    print(stop.code, *sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, "solve", str(CASE14)], capture_output=True, text=True, check=True
+    )
+    status, *modules = done.stdout.splitlines()[-1].split()
+    assert status == "0"
+    required = {re.split(r"\W", line.replace("-", "_"))[0].lower() for line in requires("opfmodel") or ()}
+    packages = {"pyyaml": "yaml"}
+    unneeded = {packages.get(name, name) for name in required} - NEEDED - {"lazy_loader", "pydantic"}
+    assert {"xarray", "networkx", "matplotlib", "yaml", "rich"} <= unneeded
+    assert unneeded.isdisjoint(modules)
+    assert {"pandas", *LARGE}.isdisjoint(modules)
+    assert set(modules) >= NEEDED

@@ -25,7 +25,7 @@ _NUMBERS = (float, int, np.integer, np.floating)
 
 def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a number; Booleans do not count."""
-    return isinstance(value, _NUMBERS) and not isinstance(value, bool)
+    return type(value) is float or (isinstance(value, _NUMBERS) and not isinstance(value, bool))
 
 
 def bounded(value: float) -> bool:

@@ -137,9 +137,10 @@ class Component:
 
     def __new__(cls, *_: Any, **values: Any) -> Self:
         """Refuse unknown fields and suggest the closest known ones."""
+        known = cls.fields()
         for key, value in values.items():
-            if key not in cls.fields():
-                raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, cls.fields())}")
+            if key not in known:
+                raise ComponentError(cls.__name__, key, value, f"unknown field; {nearest(key, known)}")
         return super().__new__(cls)
 
     def check_types(self, name: str) -> None:
@@ -165,15 +166,33 @@ class Component:
     @classmethod
     def _errors(cls, name: str, values: Mapping[str, Any], in_service: bool) -> Iterator[ComponentError]:
         """Yield the errors of fields, each regarded by itself: types, and rules if in service."""
+        sound = cls._sound_defaults()
         for key, metadata, check_type, check_rules in cls._checks():
-            if key in values:
-                try:
-                    if check_type is not None:
-                        check_type(name, key, values[key], metadata)
-                    if check_rules is not None and in_service:
-                        check_rules(name, key, values[key], metadata)
-                except ComponentError as error:
-                    yield error
+            value, default = values.get(key, MISSING), sound.get(key, MISSING)
+            if value is default or value is MISSING or (type(value) is float and value == default):
+                continue
+            try:
+                if check_type is not None:
+                    check_type(name, key, value, metadata)
+                if check_rules is not None and in_service:
+                    check_rules(name, key, value, metadata)
+            except ComponentError as error:
+                yield error
+
+    @classmethod
+    @cache
+    def _sound_defaults(cls) -> Mapping[str, Any]:
+        """Defaults that are valid in service, which most values of a network file are."""
+        made: dict[str, Any] = {}
+        for key, metadata, *checks in cls._checks():
+            default = cls.fields()[key].default
+            try:
+                for check in filter(None, checks):
+                    check("", key, default, metadata)
+            except ComponentError:
+                continue
+            made[key] = default
+        return made
 
     def _crossed(self, name: str) -> Iterator[ComponentError]:
         """Yield the errors of numbers that exceed another one that limits them."""

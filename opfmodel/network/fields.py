@@ -299,9 +299,9 @@ def type_of_span(name: str, key: str, value: object, rules: Mapping[str, Any]) -
     """Raise :class:`ComponentError` unless a value is a pair of numbers or, if symmetric, one number."""
     if rules["symmetric"] and is_number(value):
         return
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+    if not is_adjustable(value) or len(value) != 2:
         raise ComponentError(name, key, value, f"must be a pair (min, max){_unit(rules)}")
-    if not all(is_number(end) for end in value):
+    if not all(map(is_number, value)):
         raise ComponentError(name, key, value, f"both ends must be numbers{_unit(rules)}")
 
 
@@ -331,7 +331,7 @@ def rules_of_span(name: str, key: str, value: Any, rules: Mapping[str, Any]) -> 
 
 def is_adjustable(value: object) -> TypeGuard[tuple[float, float]]:
     """Whether the value of an adjustable field is a range."""
-    return isinstance(value, Sequence) and not isinstance(value, str)
+    return type(value) is tuple or (isinstance(value, Sequence) and not isinstance(value, str))
 
 
 def type_of_adjustable(name: str, key: str, value: object, rules: Mapping[str, Any]) -> None:
