@@ -18,6 +18,7 @@ from solvers.expression import Constraint, Expression, Sum, largest, largest_by,
 from solvers.matrices import Matrices, MatrixMaker, StandardForm, proves_infeasible, standard_form
 from solvers.milp import MixedInteger, MixedSolution, solve_mixed
 from solvers.program import Block, Cone, Epigraph, Instance, Output, Placement, Program
+from solvers.sharing import Sharing
 from solvers.solution import Solution, Start
 from solvers.solve import (
     BackEnd,
@@ -60,6 +61,7 @@ __all__ = [
     "ProgramError",
     "Rows",
     "Session",
+    "Sharing",
     "Solution",
     "SolutionStatus",
     "SolverError",

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 
 from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic, map_numbers
 from solvers.program import Array, Index, Placement, Program
+from solvers.sharing import assembled
 
 __all__ = ["Assembly", "Evaluator"]
 
@@ -262,7 +263,7 @@ class Evaluator:
 
     def __init__(self, program: Program) -> None:
         self.program = program
-        self.assembly = Assembly(program)
+        self.assembly: Assembly = assembled(program, Assembly)
 
     def objective(self, x: Array, p: Array) -> float:
         """Value of the objective."""

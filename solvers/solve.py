@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from solvers.errors import UnknownSolverError, UnsupportedProgramError
 from solvers.program import Instance, Program
+from solvers.sharing import Sharing, of_starts, structure_digest
 from solvers.solution import Solution, Start
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, Structure, classify, curvature_varies
@@ -230,8 +231,9 @@ def prepare(
     if end.accepts < Kind.NONLINEAR and curvature_varies(program):
         session = _ConvexSession(session, program, end, name)
     if solver == "auto" and name != _LAST_RESORT:
-        return _SecondOpinion(session, lambda: prepare(program, _LAST_RESORT, None, verbose))
-    return session
+        session = _SecondOpinion(session, lambda: prepare(program, _LAST_RESORT, None, verbose))
+    sharing = of_starts()
+    return session if sharing is None else _SharedStart(session, sharing, program)
 
 
 class _SecondOpinion:
@@ -276,6 +278,31 @@ class _SecondOpinion:
         )
 
 
+class _SharedStart:
+    """A session whose first solve starts from the first solution of another program of the same structure."""
+
+    def __init__(self, session: Session, sharing: Sharing, program: Program) -> None:
+        self._session = session
+        self._sharing = sharing
+        self._digest = structure_digest(program)
+        self._first = True
+
+    def solve(self, instance: Instance, start: Start | None = None) -> Solution:
+        """Solve an instance; the first one from the shared starting point, unless it has its own."""
+        if not self._first:
+            return self._session.solve(instance, start)
+        self._first = False
+        shared = self._sharing.start(self._digest) if start is None else None
+        solution = self._session.solve(instance, start if shared is None else shared)
+        if shared is not None and solution.status not in _PROVEN and not solution.status.is_optimal:
+            again = self._session.solve(instance)
+            solution = replace(again, seconds=again.seconds + solution.seconds)
+        if solution.status.is_optimal:
+            # other numbers let other limits bind, as in a problem that is moved in time
+            self._sharing.keep_start(self._digest, replace(solution.start(), moved=1))
+        return solution
+
+
 class _ConvexSession:
     """A session of a convex back end for a program that an instance can make non-convex."""
 
@@ -315,6 +342,7 @@ def _check_accepted(program: Program, structure: Structure, end: BackEnd, name: 
     )
 
 
+_PROVEN = (SolutionStatus.PROVEN_INFEASIBLE,)
 # Fallback of "auto" when the preferred back end finds nothing.
 _LAST_RESORT = "ipopt"
 _ENDED_BY_WILL = (

@@ -24,6 +24,7 @@ Changes = Mapping[str, Any]
 Key = tuple[str | int, ...]
 Keys = tuple[str, ...]
 Keep = Literal["figures", "trajectories"]
+Starts = Literal["cold", "warm"]
 
 _MOST_RUNS = 100_000  # each run has a record and a row
 
@@ -51,6 +52,11 @@ class StudyFile(BaseModel):
         "figures",
         description="what is kept of every run: the figures of its row in the table, or its trajectories as "
         "well, as 'opfmodel run' writes them",
+    )
+    starts: Starts = Field(
+        "cold",
+        description="how the first plan of a run starts: cold, or warm from that of the last run on the same "
+        "worker whose problem differs in numbers only; then iterations depend on the order of the runs",
     )
     vary: dict[str, Any] = Field(
         default_factory=dict,
@@ -111,6 +117,8 @@ class Study:
         Keys set in every run unless an axis overrides them.
     keep
         Whether ``figures`` are kept of every run, or ``trajectories`` as well.
+    starts
+        Whether the first plan of a run starts ``cold``, or ``warm`` from that of another run.
     """
 
     name: str
@@ -118,6 +126,7 @@ class Study:
     base: Changes
     axes: tuple[Axis, ...]
     keep: Keep = "figures"
+    starts: Starts = "cold"
 
     def __len__(self) -> int:
         """Number of runs."""
@@ -180,7 +189,7 @@ def read_study(path: str | Path) -> Study:
         faults.add(document.fault(("vary",), message))
     name = document.path.stem if file.name is None else file.name
     check_name(document, ("name",), name)
-    study = Study(name, document.path, base, axes, file.keep)
+    study = Study(name, document.path, base, axes, file.keep, file.starts)
     faults.settle()
     _Trial(document, study).check()
     faults.settle()

@@ -20,14 +20,15 @@ from opfmodel.plugins.versions import versions
 from opfmodel.results.store import Files, packed
 from opfmodel.study.provenance import machine
 from opfmodel.study.specification import Specification
-from solvers import SolverError
+from solvers import Sharing, SolverError
 
 if TYPE_CHECKING:
     from opfmodel.scenario.results import Results
 
-__all__ = ["Record", "execute", "failure"]
+__all__ = ["Record", "execute", "failure", "release"]
 
 _ONE_AT_A_TIME = threading.Lock()  # CasADi is not thread-safe
+_SHARING = Sharing()  # among the runs of this process
 
 
 @dataclass(frozen=True)
@@ -75,20 +76,30 @@ def execute(specification: Specification) -> Record:
         The user pressed Ctrl-C; an unfinished run leaves no record.
     """
     began = time.perf_counter()
-    with _ONE_AT_A_TIME:
+    with _ONE_AT_A_TIME, _SHARING.active(starts=specification.starts_warm):
+        before = _SHARING.assembled, _SHARING.shared
         try:
             figures, files = _figures(specification)
         except (Exception, SystemExit) as error:  # plugins may raise anything; the study continues
             return failure(specification, error, time.perf_counter() - began)
+    counted = {
+        "provenance_programs_assembled": _SHARING.assembled - before[0],
+        "provenance_programs_shared": _SHARING.shared - before[1],
+    }
     times = {f"time_{name}": value for name, value in figures.items() if "seconds" in name}
     result = {name: value for name, value in figures.items() if "seconds" not in name}
     return Record(
         specification.key,
         result,
         {**times, "time_total_seconds": time.perf_counter() - began},
-        _provenance(specification),
+        _provenance(specification) | counted,
         files,
     )
+
+
+def release() -> None:
+    """Forget the functions that the runs of this process share."""
+    _SHARING.clear()
 
 
 def failure(specification: Specification, error: BaseException, seconds: float | None = None) -> Record:

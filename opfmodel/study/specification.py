@@ -82,6 +82,9 @@ class Specification:
         Versions of the packages that affect the result.
     keeps_trajectories
         Whether the record has the trajectories of the run; not part of the key.
+    starts_warm
+        Whether the first plan may start from that of another run, so that iterations depend on the order of
+        the runs.
     """
 
     labels: Mapping[str, Any]
@@ -91,12 +94,14 @@ class Specification:
     inputs: Inputs
     versions: Mapping[str, str]
     keeps_trajectories: bool = False
+    starts_warm: bool = False
 
     @cached_property
     def key(self) -> str:
-        """Digest of content, data files and versions: 32 hexadecimal digits."""
+        """Digest of content, data files, versions and warm starts: 32 hexadecimal digits."""
+        starts = {"starts": "warm"} if self.starts_warm else {}
         text = json.dumps(
-            {"content": self.content, "data": self.inputs.data, "versions": self.versions},
+            {"content": self.content, "data": self.inputs.data, "versions": self.versions, **starts},
             sort_keys=True,
             default=str,  # a date in YAML
         )
@@ -112,14 +117,13 @@ class Snapshot:
 
     def specifications(self, study: Study) -> list[Specification]:
         """Return the runs of a study in the order of its grid."""
-        keeps = study.keep == "trajectories"
-        return [self._specification(variation, keeps) for variation in study.variations()]
+        return [self._specification(study, variation) for variation in study.variations()]
 
     def changed(self) -> list[Path]:
         """Return the files that have changed since they were read."""
         return [path for path, content in self._files.items() if not _holds(path, content)]
 
-    def _specification(self, variation: Variation, keeps_trajectories: bool) -> Specification:
+    def _specification(self, study: Study, variation: Variation) -> Specification:
         path = variation.scenario
         if path not in self._documents:
             before = self._file(path)
@@ -139,7 +143,8 @@ class Snapshot:
             content=content,
             inputs=self._inputs(document, content),
             versions=versions(),
-            keeps_trajectories=keeps_trajectories,
+            keeps_trajectories=study.keep == "trajectories",
+            starts_warm=study.starts == "warm",
         )
 
     def _inputs(self, document: Document, content: Mapping[str, Any]) -> Inputs:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from opfmodel.errors import StudyError
-from opfmodel.study.execution import Record, execute, failure
+from opfmodel.study.execution import Record, execute, failure, release
 from opfmodel.study.progress import Watcher
 from opfmodel.study.specification import Specification
 from solvers.errors import SolverError
@@ -53,11 +53,14 @@ def check_crew(scheduler: str | None, memory: str | None) -> None:
 
 def in_this_process(specifications: Sequence[Specification], watcher: Watcher) -> Generator[Record]:
     """Execute the runs one after another."""
-    for specification in specifications:
-        watcher.running({"this process": specification})
-        with interruptible():
-            record = execute(specification)
-        yield record
+    try:
+        for specification in specifications:
+            watcher.running({"this process": specification})
+            with interruptible():
+                record = execute(specification)
+            yield record
+    finally:
+        release()
 
 
 def on_local_cluster(

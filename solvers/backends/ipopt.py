@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from solvers.assembly import Assembly, Evaluator
+from solvers.assembly import Evaluator
 from solvers.errors import SolverError, SolverOptionError
 from solvers.interrupt import interruptible
 from solvers.program import Array, Instance, Program
@@ -106,7 +106,7 @@ class IpoptSession:
         self._smooth = smooth(program)
         self._evaluator = Evaluator(program)
         same = self._smooth.program is program
-        self._assembly = self._evaluator.assembly if same else Assembly(self._smooth.program)
+        self._assembly = self._evaluator.assembly if same else Evaluator(self._smooth.program).assembly
         self._plugin = plugin
         self._options = options
         self._verbose = verbose
