@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import types
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -936,11 +937,74 @@ def test_the_file_monitor_of_a_repository_does_not_run(tmp_path: Path) -> None:
         {"workers": 0, "memory": "0"},
         {"workers": 0, "memory": "10MB"},
         {"scheduler": "nonsense"},
+        {"workers": 2, "cluster": "cluster.yaml"},
+        {"scheduler": "tcp://127.0.0.1:1", "cluster": "cluster.yaml"},
     ],
 )
 def test_invalid_options_are_rejected(options: dict[str, Any], folder: Path) -> None:
-    with pytest.raises(StudyError, match=r"workers|memory = |scheduler = "):
+    with pytest.raises(StudyError, match=r"workers|memory = |scheduler = |exclude each other"):
         run_study(read_study(folder / "study.yaml"), folder / "out", **options)
+
+
+# A cluster that Dask starts ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("3", r"cluster.yaml:1:1: must be a mapping with one key: slurm or ssh"),
+        ("{}", r"cluster.yaml:1:1: must have one key: slurm or ssh"),
+        ("{slurm: {workers: 2}, ssh: {}}", r"must have one key"),
+        ("slum: {workers: 2}", r"cluster.yaml:1:1: slum: .*did you mean 'slurm'"),
+        ("slurm: {queue: short}", r"slurm.workers: must be the number of workers, at least 1"),
+        (
+            "slurm: {workers: 0}",
+            r"cluster.yaml:1:9: slurm.workers: must be the number of workers, at least 1",
+        ),
+        ("ssh: [a, b]", r"cluster.yaml:1:1: ssh: .*must be a mapping"),
+    ],
+)
+def test_errors_of_a_cluster_file_are_located(text: str, message: str, folder: Path) -> None:
+    (folder / "cluster.yaml").write_text(text)
+    with pytest.raises(ScenarioError, match=message):
+        run_study(read_study(folder / "study.yaml"), folder / "out", cluster=folder / "cluster.yaml")
+    assert not (folder / "out").exists()
+
+
+def test_a_missing_package_is_reported_before_the_study_begins(
+    folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
+    (folder / "cluster.yaml").write_text("slurm: {workers: 2}")
+    code, out, err = call("study", "run", folder / "study.yaml", "--cluster", folder / "cluster.yaml")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(r"error: .*cluster.yaml: slurm: needs the package dask-jobqueue .*\n", err)
+
+
+@pytest.mark.slow
+def test_a_study_runs_on_a_cluster_that_dask_starts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With Dask's cluster of this machine in the place of SLURM's; of that, the arguments are not checked."""
+    import distributed
+
+    class SLURMCluster(distributed.LocalCluster):
+        """Has the arguments of SLURM's cluster that this test uses."""
+
+        def __init__(self, queue: str, cores: int) -> None:
+            if queue != "short":
+                raise ValueError(f"no queue\n{queue}")
+            super().__init__(n_workers=0, threads_per_worker=cores, processes=False, dashboard_address=None)
+
+    module = types.ModuleType("dask_jobqueue")
+    module.SLURMCluster = SLURMCluster
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", module)
+    cluster, study = folder / "cluster.yaml", read_study(folder / "study.yaml")
+    for queue, said in (("long", "no queue long"), ("short, walltime: 1", "walltime")):
+        cluster.write_text(f"slurm: {{workers: 2, cores: 1, queue: {queue}}}")
+        with pytest.raises(StudyError, match=rf"cluster.yaml: slurm: .*could not be started: .*{said}"):
+            run_study(study, folder / "out", cluster=cluster)
+    cluster.write_text("slurm: {workers: 2, cores: 1, queue: short}")
+    assert run_study(study, folder / "out", cluster=cluster).done == 6
+    assert [row["cost"] for row in results(folder / "out")] == pytest.approx([600, 700] * 3)
 
 
 # The table --------------------------------------------------------------------------------------

@@ -34,6 +34,9 @@ def run(
         ),
     ] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler.")] = None,
+    cluster: Annotated[
+        Path | None, typer.Option(help="Cluster file (.yaml): SLURM jobs or SSH hosts that Dask starts.")
+    ] = None,
     memory: Annotated[str | None, typer.Option(help="Memory limit of a local worker, such as 2GiB.")] = None,
     retry: Annotated[Retry | None, typer.Option(help="Repeat failed runs, or all runs.")] = None,
     json_: JSON = False,
@@ -51,6 +54,7 @@ def run(
             Path("results") / loaded.name if out is None else out,
             workers=workers,
             scheduler=scheduler,
+            cluster=cluster,
             memory=memory,
             retry=None if retry is None else retry.value,
             progress=sys.stderr.isatty() and not json_,

@@ -15,11 +15,18 @@ from opfmodel.errors import StudyError
 from opfmodel.plugins.versions import versions
 from opfmodel.study.document import Study
 from opfmodel.study.execution import Record
+from opfmodel.study.managed import ManagedCluster, read_cluster
 from opfmodel.study.progress import Watcher, described, live
 from opfmodel.study.provenance import machine, revision
 from opfmodel.study.specification import Snapshot, Specification
 from opfmodel.study.store import Store, untrusted
-from opfmodel.study.workers import check_crew, in_this_process, on_cluster, on_local_cluster
+from opfmodel.study.workers import (
+    check_crew,
+    in_this_process,
+    on_cluster,
+    on_local_cluster,
+    on_managed_cluster,
+)
 from solvers.interrupt import interruptible
 
 __all__ = ["Outcome", "run_study"]
@@ -78,6 +85,7 @@ def run_study(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    cluster: str | Path | None = None,
     memory: str | None = None,
     retry: Literal["failed", "all"] | None = None,
     progress: bool = False,
@@ -96,6 +104,8 @@ def run_study(
         process. The default is the number of processors available to this process.
     scheduler
         Address of a running Dask scheduler, whose workers are used instead.
+    cluster
+        Cluster file, see :mod:`opfmodel.study.managed`: Dask starts the cluster for this study.
     memory
         Memory limit of each local worker, such as ``"2 GiB"``.
     retry
@@ -106,23 +116,33 @@ def run_study(
     Raises
     ------
     StudyError
-        The folder is in use, the scheduler does not answer, or an option is invalid.
+        The folder is in use, the scheduler does not answer, the cluster does not start, or an option is
+        invalid.
+    ScenarioError
+        The cluster file is invalid.
     ResultError
         The folder cannot be written; its contents are kept.
     """
-    if scheduler is not None and (workers is not None or memory is not None):
+    if scheduler is not None and cluster is not None:
+        raise StudyError("scheduler and cluster exclude each other: use a running cluster, or start one")
+    if (scheduler or cluster) is not None and (workers is not None or memory is not None):
+        elsewhere = "scheduler" if cluster is None else "cluster"
         raise StudyError(
-            "workers and memory cannot be combined with scheduler, whose workers are used instead"
+            f"workers and memory cannot be combined with {elsewhere}, whose workers are used instead"
         )
     if workers is not None and workers < 0:
         raise StudyError(f"workers = {workers}: must be at least 0; 0 runs everything in this process")
     check_crew(scheduler, memory)
+    managed = None if cluster is None else read_cluster(cluster)
+    if managed is not None:
+        managed.check_installed()
     began = time.perf_counter()
     store = Store(Path(folder))
     with store.locked():
         snapshot = Snapshot()
         runs = snapshot.specifications(study)
         options = {"workers": workers, "scheduler": scheduler, "memory": memory, "retry": retry}
+        options["cluster"] = None if managed is None else managed.kind
         there, faults = store.records(run.key for run in runs)
         notes = _notes(store.index_fault(), faults)
         store.begin(runs, {**_about(study), "options": options})
@@ -130,7 +150,10 @@ def run_study(
         made: set[str] = set()
         interrupted = False
         shown = live(study.name, len(missing)) if progress and missing else nullcontext(Watcher())
-        with shown as watcher, closing(_crew(missing, watcher, workers, scheduler, memory)) as records:
+        with (
+            shown as watcher,
+            closing(_crew(missing, watcher, workers, scheduler, managed, memory)) as records,
+        ):
             try:
                 with interruptible():
                     for record in records:
@@ -175,10 +198,13 @@ def _crew(
     watcher: Watcher,
     workers: int | None,
     scheduler: str | None,
+    managed: ManagedCluster | None,
     memory: str | None,
 ) -> Generator[Record]:
     if not runs or workers == 0:
         return in_this_process(runs, watcher)
+    if managed is not None:
+        return on_managed_cluster(runs, watcher, managed)
     if scheduler is not None:
         return on_cluster(runs, watcher, scheduler)
     count = _processors() if workers is None else workers

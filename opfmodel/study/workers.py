@@ -1,4 +1,4 @@
-"""Execute runs in this process, on a local cluster, or on a running one.
+"""Execute runs in this process, or on a cluster: a local one, a running one, or one that Dask starts.
 
 Each function yields records in the order in which runs finish. It writes no files; the process that
 holds the study's folder does.
@@ -19,6 +19,7 @@ from uuid import uuid4
 
 from opfmodel.errors import StudyError
 from opfmodel.study.execution import Record, execute, failure, release
+from opfmodel.study.managed import ManagedCluster
 from opfmodel.study.progress import Watcher
 from opfmodel.study.specification import Specification
 from solvers.errors import SolverError
@@ -27,7 +28,7 @@ from solvers.interrupt import interruptible
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-__all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster"]
+__all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster", "on_managed_cluster"]
 
 _ADDRESS = re.compile(r"(\w+://)?([^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]):[0-9]{1,5}(/\S*)?")
 _PATIENCE = 30.0  # seconds to wait for a scheduler, and for a first worker
@@ -123,6 +124,22 @@ def on_cluster(
                     f"the scheduler at {scheduler} has no workers; start some with 'dask worker {scheduler}'"
                 ) from None
             yield from _runs(client, specifications, watcher)
+
+
+def on_managed_cluster(
+    specifications: Sequence[Specification], watcher: Watcher, cluster: ManagedCluster
+) -> Generator[Record]:
+    """Execute the runs on a cluster that Dask starts for them; its workers may have to wait in a queue.
+
+    Raises
+    ------
+    StudyError
+        The cluster does not start.
+    """
+    from distributed import Client
+
+    with _quiet(), cluster.started() as running, Client(running) as client:
+        yield from _runs(client, specifications, watcher)
 
 
 def _runs(
