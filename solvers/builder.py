@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from weakref import WeakValueDictionary
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from solvers.errors import ProgramError
 from solvers.expression import Constraint, Expression, Leaf, Sum, constant, reference
-from solvers.program import POSITION, Array, Block, Cone, Epigraph, Index, Output, Placement, Program
+from solvers.program import (
+    POSITION,
+    Array,
+    Block,
+    Composition,
+    Cone,
+    Epigraph,
+    Index,
+    Output,
+    Placement,
+    Program,
+)
 from solvers.template import Template, column
 
 __all__ = ["ProgramBuilder", "Rows"]
@@ -172,6 +184,39 @@ class ProgramBuilder:
         placement = self._place(name, expressions, index)
         if placement.count:
             self._constraints.append(placement)
+
+    def compose(
+        self,
+        outer: Callable[..., Sequence[Expression]],
+        inner: Sequence[Expression],
+        *,
+        into: Sequence[Rows],
+    ) -> None:
+        """Add ``outer(*inner)`` to rows, like :meth:`add`.
+
+        The program then has a second form, in which the intermediate quantities ``inner`` are variables; see
+        :func:`solvers.expansion.expand`.
+        """
+        index = [rows.index for rows in into]
+        name = "+".join(dict.fromkeys(rows.name for rows in into))
+        placement = self._place(name, outer(*inner), index)
+        if not placement.count:
+            return
+        template = placement.template
+        symbols = [ca.SX.sym(f"{name} {position + 1}") for position in range(len(inner))]
+        terms = outer(
+            *(Expression(self, symbol, {}, e.shape) for symbol, e in zip(symbols, inner, strict=True))
+        )
+        parts = Composition(
+            Template(
+                f"quantities of {name}",
+                template.variables,
+                template.parameters,
+                column([expression.formula for expression in inner]),
+            ),
+            Template(name, column(symbols), template.parameters, column([term.formula for term in terms])),
+        )
+        self._constraints.append(replace(placement, parts=parts))
 
     def minimize(self, cost: Expression | Sum) -> None:
         """Add the sum of all entries of ``cost`` to the objective."""

@@ -29,6 +29,7 @@ __all__ = [
     "POSITION",
     "Array",
     "Block",
+    "Composition",
     "Cone",
     "Epigraph",
     "Index",
@@ -173,6 +174,22 @@ class Epigraph:
 
 
 @dataclass(frozen=True, eq=False)
+class Composition:
+    """A template as a function of a few intermediate quantities.
+
+    Attributes
+    ----------
+    inner
+        The intermediate quantities, of the template's variables and parameters.
+    outer
+        The template's outputs, of the intermediate quantities and the template's parameters.
+    """
+
+    inner: Template
+    outer: Template
+
+
+@dataclass(frozen=True, eq=False)
 class Placement:
     """A template placed ``M`` times.
 
@@ -184,6 +201,8 @@ class Placement:
         Positions to which the outputs are added, shape ``(n_outputs, M)``; -1 discards an output.
     block
         Name of the block that the placement belongs to, for messages.
+    parts
+        The template as a composition, if it was stated as one; see :func:`solvers.expansion.expand`.
     """
 
     template: Template
@@ -191,6 +210,7 @@ class Placement:
     parameters: Index
     into: Index
     block: str
+    parts: Composition | None = None
 
     @property
     def count(self) -> int:
@@ -248,6 +268,11 @@ class Program:
             f"Program({self.name!r}: {self.n_variables} variables, {self.n_rows} rows, "
             f"{sum(c.items * c.stages for c in self.cones.values())} cones)"
         )
+
+    @property
+    def composed(self) -> bool:
+        """Whether it has an expanded form; see :func:`solvers.expansion.expand`."""
+        return any(placement.parts is not None for placement in self.constraints)
 
     @property
     def n_variables(self) -> int:

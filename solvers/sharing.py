@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from solvers.program import Placement, Program
+from solvers.program import Index, Program
+from solvers.template import Template
 
 if TYPE_CHECKING:
     from solvers.solution import Start
@@ -130,17 +131,16 @@ def structure_digest(program: Program) -> str:
     fixed = program.fixed_parameters
     digest.update(repr(sizes).encode())
     digest.update(fixed.tobytes())
-    digest.update(program.default.parameters[fixed].tobytes())
-    outputs = tuple(output.placement for output in program.outputs.values())
-    for role in (program.constraints, program.costs, program.cone_values, outputs):
+    digest.update(program.values[fixed].tobytes())
+    for role in (program.constraints, program.costs, program.cone_values):
         digest.update(f"{len(role)} placements".encode())
         for placement in role:
-            _add(digest, placement)
+            _add(digest, placement.template, placement.variables, placement.parameters, placement.into)
     return digest.hexdigest()
 
 
-def _add(digest: Any, placement: Placement) -> None:
-    digest.update(placement.template.value.serialize().encode())
-    for index in (placement.variables, placement.parameters, placement.into):
+def _add(digest: Any, template: Template, *positions: Index) -> None:
+    digest.update(template.value.serialize().encode())
+    for index in positions:
         digest.update(repr(index.shape).encode())
         digest.update(index.tobytes())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from solvers.errors import ProgramError
 from solvers.program import Array, Block, Cone, Index, Instance, Program
 from solvers.status import SolutionStatus, TerminationCondition
 
-__all__ = ["Solution", "Start"]
+__all__ = ["Attempt", "Solution", "Start"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,18 @@ class Start:
     moved: int = 0
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """An attempt at an instance: which solver, why it stopped, what it found, and the effort."""
+
+    solver: str
+    termination: TerminationCondition
+    status: SolutionStatus
+    message: str
+    iterations: int | None
+    seconds: float
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Primal and dual values, why the solver stopped and what the status guarantees.
@@ -51,6 +63,8 @@ class Solution:
         is None where the interface library does not report them.
     skipped
         Number of leading stages that values and multipliers by name leave out.
+    failed
+        Attempts before this one that found nothing; their seconds are part of ``seconds``.
     """
 
     program: Program
@@ -67,6 +81,20 @@ class Solution:
     iterations: int | None
     seconds: float
     skipped: int = 0
+    failed: tuple[Attempt, ...] = ()
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """All attempts at the instance, the last of which led to this solution."""
+        seconds = self.seconds - sum(attempt.seconds for attempt in self.failed)
+        own = Attempt(self.solver, self.termination, self.status, self.message, self.iterations, seconds)
+        return *self.failed, own
+
+    def after(self, *failed: Solution) -> Solution:
+        """Return this solution with the attempts that failed before it."""
+        earlier = [attempt for solution in failed for attempt in solution.attempts]
+        seconds = self.seconds + sum(attempt.seconds for attempt in earlier)
+        return replace(self, failed=(*earlier, *self.failed), seconds=seconds)
 
     @cached_property
     def objective(self) -> float:

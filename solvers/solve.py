@@ -271,11 +271,8 @@ class _SecondOpinion:
         second = self._other.solve(instance, start)
         if not second.status.is_optimal:
             return solution
-        return replace(
-            second,
-            message=f"{second.message}, after {solution.solver} failed: {solution.message}",
-            seconds=solution.seconds + second.seconds,
-        )
+        message = f"{second.message}, after {solution.solver} failed: {solution.message}"
+        return replace(second, message=message).after(solution)
 
 
 class _SharedStart:

@@ -11,8 +11,9 @@ class TerminationCondition(StrEnum):
     """Reason why the solver stopped, as it reported it.
 
     ``LIMIT`` is a limit on iterations, time or another resource, where the interface library does
-    not report which. ``ERROR`` is a status that the back end does not recognise; the solution's
-    message holds the solver's own text.
+    not report which. ``NO_PROGRESS``: a back end stopped an attempt that went nowhere, see
+    :mod:`solvers.backends.progress`. ``ERROR`` is a status that the back end does not recognise; the
+    solution's message holds the solver's own text.
     """
 
     CONVERGED = "converged"
@@ -23,6 +24,7 @@ class TerminationCondition(StrEnum):
     TIME_LIMIT = "time limit"
     LIMIT = "limit"
     INTERRUPTED = "interrupted"
+    NO_PROGRESS = "no progress"
     NUMERICAL_FAILURE = "numerical failure"
     INVALID_PROGRAM = "invalid program"
     ERROR = "error"

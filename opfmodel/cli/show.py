@@ -57,7 +57,7 @@ def plan(
             **({"commitment": _committed(commitments[-1])} if commitments else {}),
             "formulation": problem.formulation.name,
             "size": f"{size.n_variables:,} variables, {size.n_rows:,} rows",
-            "solver": f"{solution.solver}, {iterations}",
+            "solver": f"{solution.solver}, {iterations}{_failed(solved)}",
             "time": f"{problem.build_seconds:.3f} s build, {solution.seconds:.3f} s solve",
             **({} if report is None else _verified(report)),
             **{key.replace("_", " "): f"{value:.1e}" for key, value in solved.relaxation.items()},
@@ -66,6 +66,15 @@ def plan(
     _diagnosis(diagnosis)
     if solved.infeasible and not elastic:
         print_line(_ELASTIC)
+
+
+def _failed(solved: Plan) -> str:
+    """Return the solves that found nothing before a plan was found."""
+    before = [
+        f"{each.solver} ({each.termination.value}, {each.iterations} iterations)"
+        for each in solved.solution.failed
+    ]
+    return f", after {' and '.join(before)}" if before else ""
 
 
 def _committed(commitment: Commitment) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -46,6 +47,8 @@ def solve(
     drawn from its own. A bound is the optimum of a relaxation of the same problem; if that is proven
     infeasible, so is the problem.
     """
+    from opfmodel.plan.attempt import attempts
+
     check_on_infeasible(on_infeasible)
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
@@ -90,6 +93,7 @@ def solve(
                 "build_seconds": problem.build_seconds,
                 "solve_seconds": plan.solution.seconds,
                 "iterations": plan.solution.iterations,
+                "attempts": [asdict(attempt) for attempt in attempts(plan)],
                 "max_violation": None if report is None else report.max_violation,
                 "violations": {} if report is None else report.as_dict(),
                 "unchecked": [] if report is None else list(report.unchecked),

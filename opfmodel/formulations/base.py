@@ -144,7 +144,8 @@ def publish_flows(
 def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: Expression) -> None:
     """Subtract branch flows from the balance of their buses, and limit the apparent power at both ends.
 
-    The flows of a branch share most of their expressions, so its balance and limits are one template.
+    The flows of a branch share most of their expressions, so its balance and limits are one template. In the
+    expanded form of the program the flows are variables, and the branch equations rows.
     """
     branch = model.network.branch
     assert model.balance_q is not None
@@ -153,8 +154,6 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
         if not members.size:
             continue
         f, t = model.zones[branch.from_bus[members]], model.zones[branch.to_bus[members]]
-        flows = [flow[members] for flow in (pf, qf, pt, qt)]
-        terms = [-flow for flow in flows]
         rows = [model.balance_p[f], model.balance_q[f], model.balance_p[t], model.balance_q[t]]
         if limited:
 
@@ -163,9 +162,8 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
                 return rating[members] ** 2
 
             soft = soft_rating(members, squared=True)
-            for name, power in (("rating_from", flows[:2]), ("rating_to", flows[2:])):
+            for name in ("rating_from", "rating_to"):
                 rows.append(model.limit("branch", name, members.size, -np.inf, square, soft))
-                terms.append(power[0] ** 2 + power[1] ** 2)
 
             def read(solution: Solution, network: PerUnitNetwork, members: Index = members) -> Array:
                 rating: Array = network.branch.rating[members]
@@ -178,7 +176,19 @@ def transport(model: Model, pf: Expression, qf: Expression, pt: Expression, qt: 
                 return price
 
             price_rating(model, members, read)
-        model.build.add(terms, into=rows)
+        flows = [flow[members] for flow in (pf, qf, pt, qt)]
+        model.build.compose(_drawn_and_squared if limited else _drawn, flows, into=rows)
+
+
+def _drawn(*flows: Expression) -> list[Expression]:
+    """Return what flows add to the balance of their buses."""
+    return [-flow for flow in flows]
+
+
+def _drawn_and_squared(*flows: Expression) -> list[Expression]:
+    """Return what flows add to the balance of their buses, and the squared apparent power at both ends."""
+    pf, qf, pt, qt = flows
+    return [*_drawn(*flows), pf**2 + qf**2, pt**2 + qt**2]
 
 
 def limit_flows(model: Model, **flows: Expression) -> None:

@@ -10,7 +10,7 @@ __all__ = ["connected"]
 Node = TypeVar("Node", bound=Hashable)
 
 
-def connected(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> list[list[Node]]:
+def connected(nodes: Iterable[Node], pairs: Iterable[Iterable[Node]]) -> list[list[Node]]:
     """Return the groups of nodes that pairs connect, in the order of their first nodes.
 
     Nodes that only pairs name follow the others.

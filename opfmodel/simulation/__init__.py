@@ -1,7 +1,8 @@
 """The closed loop: a controller that plans, a plant that responds, and the record of the run."""
 
+from opfmodel.plan.attempt import Attempt
 from opfmodel.simulation.checkpoint import Checkpoint
-from opfmodel.simulation.controller import Attempt, Controller, OnInfeasible
+from opfmodel.simulation.controller import Controller, OnInfeasible
 from opfmodel.simulation.inputs import changed, inputs
 from opfmodel.simulation.loop import check_commitment, check_first_stage, check_response, simulate
 from opfmodel.simulation.outages import Outage, Outages

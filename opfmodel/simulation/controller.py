@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Literal, get_args
 
@@ -18,39 +17,23 @@ from opfmodel.forecasts.scenarios import Futures, Scenarios
 from opfmodel.model import Elastic
 from opfmodel.network.series import check_finite
 from opfmodel.plan import Initial, MultiStage, Plan
+from opfmodel.plan.attempt import Attempt, attempts
 from opfmodel.plan.recall import Memory, plan_memory, problem_memory, recall_problem, recalled_plan
 from solvers import SolutionStatus
 
-__all__ = ["Attempt", "Commit", "Controller", "OnInfeasible"]
+__all__ = ["Commit", "Controller", "OnInfeasible"]
 
 Array = npt.NDArray[np.float64]
 Commit = Literal["declared", "milp"]
 OnInfeasible = Literal["stop", "elastic"]
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """One of the solves that led to a plan.
-
-    Attributes
-    ----------
-    start
-        ``warm`` (the shifted last plan with its multipliers), ``cold``, ``other`` (the shifted last
-        plan without multipliers) or ``elastic`` (the same problem with soft limits).
-    """
-
-    start: str
-    status: str
-    termination: str
-    iterations: int | None
-    seconds: float
-
-
 class Controller:
     """A controller that solves the same compiled problem at every step, warm-started from its last plan.
 
     A failed solve is repeated from other starting points before the failure is accepted: warm,
-    cold, other and, if requested, elastic. :attr:`attempts` records them all.
+    cold, other and, if requested, elastic. :attr:`attempts` records them all, and the solves in expanded form
+    that the solver made itself.
 
     Parameters
     ----------
@@ -171,10 +154,7 @@ class Controller:
 
     def _attempt(self, start: str, solve: Callable[[], Plan]) -> Plan:
         plan = solve()
-        solution = plan.solution
-        self.attempts.append(
-            Attempt(start, plan.status, plan.termination, solution.iterations, solution.seconds)
-        )
+        self.attempts += attempts(plan, start)
         return plan
 
     @cached_property

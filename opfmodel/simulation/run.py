@@ -165,7 +165,7 @@ class Run:
             "solve_seconds_max": float(np.max(seconds)) if seconds else 0.0,
             "iterations_mean": float(np.mean(iterations)) if iterations else None,
             "retries": {
-                str(step): [f"{a['start']}: {a['status']}" for a in plan["attempts"]]
+                str(step): [f"{a['start']} ({a['solver']}): {a['status']}" for a in plan["attempts"]]
                 for step, plan in enumerate(self.plans)
                 if len(plan["attempts"]) > 1
             },

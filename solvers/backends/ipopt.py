@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from solvers.assembly import Evaluator
+from solvers.backends.progress import Progress
 from solvers.errors import SolverError, SolverOptionError
 from solvers.interrupt import interruptible
 from solvers.program import Array, Instance, Program
@@ -18,6 +19,9 @@ from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, classify, curvature_varies
 from solvers.threads import use_one_blas_thread
 from solvers.transform import smooth
+
+if TYPE_CHECKING:
+    from solvers.backends.expanded import TwoForms
 
 __all__ = ["Ipopt"]
 
@@ -92,15 +96,34 @@ class Ipopt:
         others = ("sqpmethod", "fatrop", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp")
         yield from (name for name in others if ca.has_nlpsol(name))
 
-    def prepare(self, program: Program, solver: str, options: dict[str, Any], verbose: bool) -> IpoptSession:
+    def prepare(
+        self, program: Program, solver: str, options: dict[str, Any], verbose: bool
+    ) -> IpoptSession | TwoForms:
         """Assemble the functions of ``program`` and create the solver for cold starts."""
+        if solver == self.name and program.composed:
+            from solvers.backends.expanded import TwoForms
+
+            return TwoForms(program, options, verbose)
         return IpoptSession(program, solver, options, verbose)
 
 
 class IpoptSession:
-    """A program assembled for an ``nlpsol`` plugin."""
+    """A program assembled for an ``nlpsol`` plugin.
 
-    def __init__(self, program: Program, plugin: str, options: dict[str, Any], verbose: bool) -> None:
+    Parameters
+    ----------
+    watched
+        Whether cold starts that go nowhere are stopped.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        plugin: str,
+        options: dict[str, Any],
+        verbose: bool,
+        watched: bool = False,
+    ) -> None:
         use_one_blas_thread()
         self._program = program
         self._smooth = smooth(program)
@@ -110,6 +133,7 @@ class IpoptSession:
         self._plugin = plugin
         self._options = options
         self._verbose = verbose
+        self._progress = Progress(self._assembly) if watched else None
         self._solvers: dict[str, Any] = {}  # at most one
         self._convex = classify(program).kind < Kind.NONLINEAR
         self._curvature_varies = curvature_varies(program)
@@ -147,6 +171,8 @@ class IpoptSession:
             "calc_lam_p": False,
             "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used and takes long to derive
         }
+        if self._progress is not None and situation == "cold":
+            general |= self._progress.options
         if self._plugin != "ipopt":
             own = {self._plugin: self._options} if self._plugin in _NESTED else self._options
             return general | own
@@ -175,6 +201,8 @@ class IpoptSession:
             arguments["lam_g0"] = self._row_multipliers(start.lam_g, start, at)
             situation = "moved" if start.moved else "again"
         solver = self._solver(situation)
+        if self._progress is not None:
+            self._progress.begin(at)
         began = time.perf_counter()
         try:
             with interruptible(quiet=True):
@@ -206,6 +234,9 @@ class IpoptSession:
         else:
             unified = str(stats.get("unified_return_status"))
             termination = _UNIFIED.get(unified, TerminationCondition.ERROR)
+        if self._progress is not None and self._progress.lost:
+            termination = TerminationCondition.NO_PROGRESS
+            message = f"stopped after {stats.get('iter_count')} iterations"
         if message == "Invalid_Option":
             raise SolverOptionError(f"{self._plugin} rejected options {self._options}")
         return Solution(
