@@ -57,23 +57,47 @@ def timed(function: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - began, result
 
 
-def measure(function: Callable[..., dict[str, Any]], *args: Any) -> dict[str, Any]:
-    """Call a function in a new process; return its result with the peak memory of the process in MB."""
+def measure(
+    function: Callable[..., dict[str, Any]],
+    *args: Any,
+    seconds: float | None = None,
+    gigabytes: float | None = None,
+) -> dict[str, Any]:
+    """Call a function in a new process; return its result with the peak memory of the process in MB.
+
+    Parameters
+    ----------
+    seconds, gigabytes
+        Time after which the process is ended, and memory that it may use; by default there are no limits.
+    """
     context = multiprocessing.get_context("spawn")
     receive, send = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(send, function, args))
+    process = context.Process(target=_child, args=(send, function, args, gigabytes))
     process.start()
     send.close()
     try:
+        if not receive.poll(seconds):
+            process.kill()
+            process.join()
+            return {"error": f"not done after {seconds:g} s"}
         result: dict[str, Any] = receive.recv()
     except EOFError:
         process.join()
-        return {"error": f"the process ended with status {process.exitcode}"}
+        limited = "" if gigabytes is None else f", limited to {gigabytes:g} GB"
+        return {"error": f"the process ended with status {process.exitcode}{limited}"}
+    except BaseException:
+        process.kill()
+        raise
     process.join()
     return result
 
 
-def _child(send: Any, function: Callable[..., dict[str, Any]], args: tuple[Any, ...]) -> None:
+def _child(
+    send: Any, function: Callable[..., dict[str, Any]], args: tuple[Any, ...], gigabytes: float | None
+) -> None:
+    if gigabytes is not None:
+        most = int(gigabytes * 1e9)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     try:
         result = function(*args)
     except Exception as error:

@@ -8,7 +8,9 @@ original form. In an electricity grid the quantities are the flows of branches.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -19,6 +21,8 @@ from solvers.solution import Solution, Start
 from solvers.template import Template
 
 __all__ = ["Expanded", "expand"]
+
+_WIDER = 1.5  # factor of the implied bounds of quantities
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +37,13 @@ class Expanded:
 
     def instance(self, instance: Instance) -> Instance:
         """The same instance data for the expanded program."""
-        free = np.full(self.program.n_variables - self.original.n_variables, np.inf)
+        most = np.concatenate([np.zeros(0), *(b.ravel(order="F") for b in self._implied(instance))])
         return Instance(
             parameters=instance.parameters,
-            lower=np.concatenate([instance.lower, -free]),
-            upper=np.concatenate([instance.upper, free]),
-            row_lower=np.concatenate([instance.row_lower, np.zeros(free.size)]),
-            row_upper=np.concatenate([instance.row_upper, np.zeros(free.size)]),
+            lower=np.concatenate([instance.lower, -most]),
+            upper=np.concatenate([instance.upper, most]),
+            row_lower=np.concatenate([instance.row_lower, np.zeros(most.size)]),
+            row_upper=np.concatenate([instance.row_upper, np.zeros(most.size)]),
             start=self._with_quantities(instance.start, instance.parameters),
         )
 
@@ -89,6 +93,31 @@ class Expanded:
             made.append(np.asarray(y, dtype=float))
         return made
 
+    def _implied(self, instance: Instance) -> Iterator[Array]:
+        """Magnitudes that the quantities of each composed placement have at most, ``(quantities, places)``.
+
+        They follow from upper bounds on sums of squares. Bounds keep the iterates from straying far, and
+        those of the solution: a little wider than implied, they are never active, and have no multipliers.
+        """
+        for placement in self._composed:
+            assert placement.parts is not None
+            most = np.full((placement.parts.inner.n_outputs, placement.count), np.inf)
+            for output, quantity, factor in _squares(placement.parts.outer):
+                into = placement.into[output]
+                alone = (into >= 0) & (self._terms[into] == 1)
+                limit = np.where(alone, instance.row_upper[into], np.inf)
+                implied = _WIDER * np.sqrt(np.maximum(limit, 0.0) / factor)
+                most[quantity] = np.minimum(most[quantity], implied)
+            yield most
+
+    @cached_property
+    def _terms(self) -> Index:
+        """Number of terms that are added to each row."""
+        into = [p.into[p.into >= 0] for p in self.original.constraints]
+        return np.bincount(
+            np.concatenate([*into, np.zeros(0, dtype=np.intp)]), minlength=self.original.n_rows
+        )
+
     def _with_quantities(self, x: Array, p: Array) -> Array:
         return np.concatenate([x, *(y.ravel(order="F") for y in self._quantities(x, p))])
 
@@ -103,18 +132,22 @@ def expand(program: Program) -> Expanded:
             constraints.append(placement)
             continue
         inner, outer = placement.parts.inner, placement.parts.outer
-        shape = inner.n_outputs, placement.count
+        shape = inner.n_outputs * placement.count, 1
         free, zero = np.full(shape, np.inf), np.zeros(shape)
         quantities = Block(inner.name, *shape, n, -free, free, zero)
         definitions = Block(f"{inner.name}, definitions", *shape, m, zero, zero, zero)
         n, m = n + quantities.size, m + definitions.size
         variables[quantities.name], rows[definitions.name] = quantities, definitions
-        constraints.append(_defined(placement, inner, quantities.index, definitions))
-        constraints.append(
-            Placement(outer, quantities.index, placement.parameters, placement.into, placement.block)
-        )
+        y = _by_place(quantities, placement)
+        constraints.append(_defined(placement, inner, y, definitions))
+        constraints.append(Placement(outer, y, placement.parameters, placement.into, placement.block))
     expanded = replace(program, variables=variables, rows=rows, constraints=tuple(constraints))
     return Expanded(program, expanded)
+
+
+def _by_place(block: Block, placement: Placement) -> Index:
+    """Positions of a block with several entries per place, ``(entries, places)``."""
+    return block.index.reshape(-1, placement.count, order="F")
 
 
 def _defined(placement: Placement, inner: Template, quantities: Index, rows: Block) -> Placement:
@@ -122,4 +155,19 @@ def _defined(placement: Placement, inner: Template, quantities: Index, rows: Blo
     y = ca.SX.sym("quantity", inner.n_outputs)
     template = Template(rows.name, ca.vertcat(inner.variables, y), inner.parameters, inner.outputs - y)
     index = np.vstack([placement.variables, quantities])
-    return Placement(template, index, placement.parameters, rows.index, rows.name)
+    return Placement(template, index, placement.parameters, _by_place(rows, placement), rows.name)
+
+
+def _squares(outer: Template) -> Iterator[tuple[int, int, float]]:
+    """Outputs that are sums of squares: output, quantity, and the factor of its square."""
+    y = outer.variables
+    for position in range(outer.n_outputs):
+        output = outer.outputs[position]
+        curvature, slope = ca.hessian(output, y)
+        at_zero = ca.substitute(ca.vertcat(output, slope), y, ca.SX.zeros(y.shape))
+        if ca.symvar(curvature) or not at_zero.is_zero():
+            continue
+        matrix = np.asarray(ca.DM(curvature), dtype=float)
+        factors = 0.5 * np.diag(matrix)
+        if (matrix == np.diag(np.diag(matrix))).all() and (factors >= 0.0).all():
+            yield from ((position, int(each), float(factors[each])) for each in np.flatnonzero(factors))

@@ -15,15 +15,16 @@ __all__ = ["EVERY", "Progress", "Verdict"]
 
 EVERY = 25  # iterations between two looks: each costs a Jacobian and a call of Python
 _NEARLY = 1e-4  # infeasibility from which on an attempt is not given up
+_STEEP = 100.0  # slope from which on rows are scaled down: nlp_scaling_max_gradient
 _PATIENCE = 6  # looks without a new minimum of the infeasibility, by a factor of two
 
 
 class Verdict:
     """Whether an attempt goes nowhere, from what is seen of it at regular intervals.
 
-    It does if it crawls, that is if at two looks in a row the infeasibility has fallen by less than half
-    while the residual of the dual has more than doubled; or if the infeasibility has no new minimum for long.
-    Of the cases of PGLib that converge, none does; docs/backends.md has the figures.
+    It does if it crawls, that is if between looks, twice in a row, the infeasibility falls by less than half
+    while the residual of the dual grows; or if the infeasibility has no new minimum for long. Of 108 PGLib
+    cases of up to 3,000 buses this is so of the three that take more than 250 iterations, none of the others.
     """
 
     def __init__(self) -> None:
@@ -46,7 +47,7 @@ class Verdict:
 
     def _crawls(self) -> bool:
         p, d = self._primal[-3:], self._dual[-3:]
-        return len(p) == 3 and all(p[k + 1] > 0.5 * p[k] and d[k + 1] > 2.0 * d[k] for k in range(2))
+        return len(p) == 3 and all(p[k + 1] > 0.5 * p[k] and d[k + 1] > d[k] for k in range(2))
 
     def _stands(self) -> bool:
         before, late = self._primal[:-_PATIENCE], self._primal[-_PATIENCE:]
@@ -68,6 +69,7 @@ class Progress(ca.Callback):
         }
         self._at = assembly.program.default
         self._verdict = Verdict()
+        self._weights: Array | None = None
         self.lost = False
         self.construct("progress", {})
 
@@ -78,7 +80,7 @@ class Progress(ca.Callback):
 
     def begin(self, instance: Instance) -> None:
         """Watch a solve of an instance."""
-        self._at, self._verdict, self.lost = instance, Verdict(), False
+        self._at, self._verdict, self.lost, self._weights = instance, Verdict(), False, None
 
     def get_n_in(self) -> int:
         """Number of results of ``nlpsol``."""
@@ -96,12 +98,21 @@ class Progress(ca.Callback):
         """Look at an iterate, and return 1 to stop."""
         at = dict(zip(map(ca.nlpsol_out, range(len(arguments))), arguments, strict=True))
         g, p = _vector(at["g"]), self._at.parameters
+        jacobian = self._assembly.jacobian(at["x"], p)[1]
+        if self._weights is None:
+            self._weights = _weights(jacobian)
         outside = np.maximum(self._at.row_lower - g, g - self._at.row_upper)
-        slope = self._assembly.gradient(at["x"], p)[1] + at["lam_x"]
-        slope += ca.mtimes(self._assembly.jacobian(at["x"], p)[1].T, at["lam_g"])
-        primal = float(outside.max(initial=0.0))
+        slope = self._assembly.gradient(at["x"], p)[1] + at["lam_x"] + ca.mtimes(jacobian.T, at["lam_g"])
+        primal = float((self._weights * outside).max(initial=0.0))
         self.lost = self._verdict.lost(primal, float(np.abs(_vector(slope)).max(initial=0.0)))
         return [int(self.lost)]
+
+
+def _weights(jacobian: Any) -> Array:
+    """Weights of rows as in IPOPT's scaling: steep rows at the start count less."""
+    steepest = np.full(jacobian.shape[0], _STEEP)
+    np.maximum.at(steepest, np.array(jacobian.sparsity().row(), dtype=np.intp), np.abs(jacobian.nonzeros()))
+    return np.asarray(_STEEP / steepest)
 
 
 def _vector(value: Any) -> Array:
