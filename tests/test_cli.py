@@ -230,7 +230,7 @@ def test_list(call: Call) -> None:
         (("solve", CASE14, "--solver", "nosuch"), "solver .*'nosuch'; available: .*ipopt"),
         (
             ("solve", CASE14, "--solver", "qp"),
-            "make it a nonlinear program; back ends that accept it: ipopt, windows",
+            "make it a nonlinear program; back ends that accept it: expanded, ipopt, windows",
         ),
         (("solve", CASE14, "--horizon", "0"), "horizon = 0"),
         (("solve", CASE14, "--variant", "x"), r"pglib_opf_case14_ieee\.m: --variant and --set"),

@@ -29,7 +29,8 @@ def pairs() -> list[tuple[str, str]]:
     found = []
     for formulation in FORMULATIONS:
         for end in solvers.back_ends().values():
-            if end.accepts >= KIND.get(formulation, solvers.Kind.QUADRATIC):
+            kind = KIND.get(formulation, solvers.Kind.QUADRATIC)
+            if end.accepts >= kind and (end.name != "expanded" or kind is solvers.Kind.NONLINEAR):
                 names = ["ipopt"] if end.name == "ipopt" else list(end.solvers())
                 found += [(formulation, f"{end.name}:{name}") for name in names]
     return found
@@ -268,7 +269,8 @@ def test_an_objective_that_needs_voltages_is_served() -> None:
 @pytest.mark.parametrize("solver", ["qp", "osqp", "conic", "qp:clarabel"])
 def test_ac_is_refused_by_convex_back_ends(solver: str) -> None:
     with pytest.raises(
-        solvers.UnsupportedProgramError, match=r"nonlinear program; back ends that accept it: ipopt, windows$"
+        solvers.UnsupportedProgramError,
+        match=r"nonlinear program; back ends that accept it: expanded, ipopt, windows$",
     ) as error:
         om.MultiStage(everything(), formulation="ac", solver=solver).solve()
     assert "'p_balance'" in str(error.value)

@@ -24,6 +24,12 @@ TOLERANCE = {"osqp": FIRST_ORDER, "scs": FIRST_ORDER}
 # On the round side of a cone a gap of 1e-8 leaves its square root to directions along the surface.
 ROUND = 1e-3
 
+LOCAL = (
+    "expanded:expanded",
+    "ipopt:ipopt",
+    "windows:ipopt",
+)  # solve nonlinear programs, without certificates
+
 
 def installed() -> list[str]:
     """Every solver of every back end; of the plugins of CasADi, and of windows, IPOPT alone is tested here."""
@@ -103,13 +109,13 @@ def test_a_start_at_the_answer_changes_nothing_but_effort(label: str, name: str)
     cold = session.solve(instance)
     warm = session.solve(instance, cold.start())
     assert_answer(warm, case.answers[0], label, case.kind)
-    if label.endswith((":osqp", ":ipopt")):  # that take starts; OSQP counts in steps of 25
+    if label.endswith(":osqp") or label in LOCAL:  # that take starts; OSQP counts in steps of 25
         assert warm.iterations is not None
         assert cold.iterations is not None
         assert warm.iterations <= cold.iterations
 
 
-@pytest.mark.parametrize("label", [label for label in installed() if not label.startswith("ipopt")])
+@pytest.mark.parametrize("label", [label for label in installed() if label not in LOCAL])
 def test_an_instance_may_have_entries_where_the_last_had_none(label: str) -> None:
     """min c x²/2 - 6x with x <= 10: x = 6/c, and 10 where there is no curvature."""
     program = built("parameter_in_the_hessian").program
@@ -126,12 +132,12 @@ def test_an_instance_may_have_entries_where_the_last_had_none(label: str) -> Non
 @pytest.mark.parametrize(("label", "name"), UNSOLVABLE)
 def test_why_there_is_no_answer(label: str, name: str) -> None:
     case = built(name)
-    solution = solvers.solve(case.program, label, options={"max_iter": 500} if "ipopt" in label else {})
+    solution = solvers.solve(case.program, label, options={"max_iter": 500} if label in LOCAL else {})
     assert not solution.status.is_optimal
     if label == "qp:highs":  # qpsolvers passes on neither its status nor a certificate
         assert solution.termination is TerminationCondition.ERROR
         assert "no reason" in solution.message
-    elif label.endswith(":ipopt"):  # has no certificates, and need not notice that a cost falls for ever
+    elif label in LOCAL:  # has no certificates, and need not notice that a cost falls for ever
         assert solution.termination in (case.without, TerminationCondition.ITERATION_LIMIT)
         local = solution.termination is TerminationCondition.INFEASIBLE
         assert solution.status is (SolutionStatus.LOCALLY_INFEASIBLE if local else SolutionStatus.NONE)
@@ -144,7 +150,7 @@ def test_why_there_is_no_answer(label: str, name: str) -> None:
 LIMITS = {"clarabel": TerminationCondition.ITERATION_LIMIT, "osqp": TerminationCondition.ITERATION_LIMIT}
 
 
-@pytest.mark.parametrize("label", [label for label in installed() if not label.endswith(":ipopt")])
+@pytest.mark.parametrize("label", [label for label in installed() if label not in LOCAL])
 def test_limits_are_statuses(label: str) -> None:
     """A solver that is stopped early says so and claims nothing."""
     limit = {
@@ -195,11 +201,11 @@ def test_an_enumeration_of_piqp_is_given_by_name() -> None:
 # Refusals --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("label", [label for label in installed() if not label.endswith(":ipopt")])
+@pytest.mark.parametrize("label", [label for label in installed() if label not in LOCAL])
 def test_a_nonconvex_quadratic_is_refused_by_convex_back_ends(label: str) -> None:
     with pytest.raises(
         solvers.UnsupportedProgramError,
-        match=r"the quadratic block 'cost 1' of 'nonconvex quadratic' is not convex; .* accept it: ipopt, windows$",
+        match=r"the quadratic block 'cost 1' of 'nonconvex quadratic' is not convex; .* accept it: expanded, ipopt, windows$",
     ):
         solvers.prepare(built("nonconvex_quadratic").program, label)
 
@@ -257,12 +263,12 @@ def test_cones_and_curves_are_refused_with_their_names() -> None:
     with pytest.raises(
         solvers.UnsupportedProgramError,
         match=r"'qp' solves at most a convex quadratic program, but block 'disc' of 'disc' makes it a "
-        r"second-order cone program; back ends that accept it: clarabel, conic, ipopt, windows$",
+        r"second-order cone program; back ends that accept it: clarabel, conic, expanded, ipopt, windows$",
     ):
         solvers.prepare(built("disc").program, "qp")
     with pytest.raises(
         solvers.UnsupportedProgramError,
-        match=r"blocks 'product', 'sphere', 'cost 1' .* nonlinear program; .*: ipopt, windows$",
+        match=r"blocks 'product', 'sphere', 'cost 1' .* nonlinear program; .*: expanded, ipopt, windows$",
     ):
         solvers.prepare(built("hock_schittkowski_71").program, "conic:clarabel")
 

@@ -29,23 +29,27 @@ class Expanded:
     accepts = Kind.NONLINEAR
 
     def solvers(self) -> Iterator[str]:
-        """IPOPT."""
-        yield "ipopt"
+        """Itself: that the solver is IPOPT goes without saying."""
+        yield self.name
 
     def prepare(
-        self, program: Program, solver: str, options: dict[str, Any], verbose: bool
+        self,
+        program: Program,
+        solver: str,  # noqa: ARG002
+        options: dict[str, Any],
+        verbose: bool,
     ) -> ExpandedSession:
         """Expand ``program`` and prepare it for IPOPT."""
-        return ExpandedSession(program, solver, options, verbose)
+        return ExpandedSession(program, options, verbose)
 
 
 class ExpandedSession:
     """A program prepared in its expanded form."""
 
-    def __init__(self, program: Program, plugin: str, options: dict[str, Any], verbose: bool) -> None:
+    def __init__(self, program: Program, options: dict[str, Any], verbose: bool) -> None:
         self._form = expand(program)
         self._evaluator = Evaluator(program)
-        self._session = IpoptSession(self._form.program, plugin, _OPTIONS | options, verbose)
+        self._session = IpoptSession(self._form.program, "ipopt", _OPTIONS | options, verbose)
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance; a start that includes multipliers is a warm start."""
@@ -68,7 +72,7 @@ class TwoForms:
 
     @cached_property
     def _expanded(self) -> ExpandedSession:
-        return ExpandedSession(self._program, "ipopt", self._options, self._verbose)
+        return ExpandedSession(self._program, self._options, self._verbose)
 
     @cached_property
     def _patient(self) -> IpoptSession:
