@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import types
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -981,22 +980,28 @@ def test_a_missing_package_is_reported_before_the_study_begins(
     assert re.fullmatch(r"error: .*cluster.yaml: slurm: needs the package dask-jobqueue .*\n", err)
 
 
+# Dask's cluster of this machine in the place of SLURM's, in a module that replaces the handler of Ctrl-C as that does.
+JOBQUEUE = """
+import signal, sys
+import distributed
+
+signal.signal(signal.SIGINT, lambda *_: sys.exit())
+
+class SLURMCluster(distributed.LocalCluster):
+    def __init__(self, queue, cores):
+        if queue != "short":
+            raise ValueError(f"no queue\\n{queue}")
+        super().__init__(n_workers=0, threads_per_worker=cores, processes=False, dashboard_address=None)
+"""
+
+
 @pytest.mark.slow
 def test_a_study_runs_on_a_cluster_that_dask_starts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With Dask's cluster of this machine in the place of SLURM's; of that, the arguments are not checked."""
-    import distributed
-
-    class SLURMCluster(distributed.LocalCluster):
-        """Has the arguments of SLURM's cluster that this test uses."""
-
-        def __init__(self, queue: str, cores: int) -> None:
-            if queue != "short":
-                raise ValueError(f"no queue\n{queue}")
-            super().__init__(n_workers=0, threads_per_worker=cores, processes=False, dashboard_address=None)
-
-    module = types.ModuleType("dask_jobqueue")
-    module.SLURMCluster = SLURMCluster
-    monkeypatch.setitem(sys.modules, "dask_jobqueue", module)
+    (folder / "dask_jobqueue.py").write_text(JOBQUEUE)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)  # forgotten afterwards
+    del sys.modules["dask_jobqueue"]
+    handler = signal.getsignal(signal.SIGINT)
     cluster, study = folder / "cluster.yaml", read_study(folder / "study.yaml")
     for queue, said in (("long", "no queue long"), ("short, walltime: 1", "walltime")):
         cluster.write_text(f"slurm: {{workers: 2, cores: 1, queue: {queue}}}")
@@ -1005,6 +1010,7 @@ def test_a_study_runs_on_a_cluster_that_dask_starts(folder: Path, monkeypatch: p
     cluster.write_text("slurm: {workers: 2, cores: 1, queue: short}")
     assert run_study(study, folder / "out", cluster=cluster).done == 6
     assert [row["cost"] for row in results(folder / "out")] == pytest.approx([600, 700] * 3)
+    assert signal.getsignal(signal.SIGINT) is handler
 
 
 # The table --------------------------------------------------------------------------------------

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -61,7 +63,7 @@ class ManagedCluster:
         module, _, package = _CLASSES[self.kind]
         for name in (module, package.replace("-", "_")):
             try:
-                import_module(name)
+                _imported(name)
             except ImportError as error:
                 raise StudyError(
                     f"{self.path}: {self.kind}: needs the package {package} ({error}); pip install {package}"
@@ -79,7 +81,7 @@ class ManagedCluster:
         self.check_installed()
         module, name, _ = _CLASSES[self.kind]
         try:
-            cluster = getattr(import_module(module), name)(**self.options)
+            cluster = getattr(_imported(module), name)(**self.options)
             if self.workers is not None:
                 cluster.scale(self.workers)
         except Exception as error:  # Dask's classes raise errors of several libraries
@@ -89,6 +91,16 @@ class ManagedCluster:
             ) from error
         with cluster:
             yield cluster
+
+
+def _imported(name: str) -> ModuleType:
+    """Import a module; dask_jobqueue replaces the handler of Ctrl-C when it is imported."""
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        return import_module(name)
+    finally:
+        if signal.getsignal(signal.SIGINT) is not before:
+            signal.signal(signal.SIGINT, before)
 
 
 def read_cluster(path: str | Path) -> ManagedCluster:
