@@ -71,11 +71,11 @@ LOOPS = {
     },
     "elastic": {**CHAIN, "controller.limits": "soft", "network.loads.town.p": 260},
     "secured": {
-        **CHAIN,
-        "controller.formulation": "dc",
-        "controller.horizon": 2,
-        "controller.security": {"contingencies": "all", "rating": 1.1},
-        "network.storages": {},
+        "file": SCENARIOS / "case5-outage.yaml",
+        "profiles": [],
+        "time.steps": 5,
+        "controller.horizon": 3,
+        "controller.security": {"contingencies": "all", "rating": 1.2},
     },
 }
 
@@ -107,32 +107,34 @@ def stop_after(steps: int) -> Callable[[Run], None]:
 
 
 @pytest.mark.parametrize(
-    "loop", ["redispatch", *(pytest.param(name, marks=pytest.mark.slow) for name in [*LOOPS][1:])]
+    "name", ["redispatch", *(pytest.param(name, marks=pytest.mark.slow) for name in [*LOOPS][1:])]
 )
 def test_a_run_that_is_resumed_is_the_same(
-    loop: str, ring: Callable[..., om.Scenario], tmp_path: Path
+    name: str, ring: Callable[..., om.Scenario], tmp_path: Path
 ) -> None:
-    def again(steps: int | None = None) -> Run:  # everything is made anew, as in another process
-        scenario = ring(**LOOPS[loop])
-        pressed = None if steps is None else stop_after(steps)
-        return om.simulate(**scenario.loop(), on_step=pressed, checkpoint=tmp_path / "kept")
+    def run(steps: int | None = None, **options: Any) -> tuple[Run, bytes]:
+        """Make everything anew, as in another process; return what is remembered at the end, too."""
+        loop = ring(**LOOPS[name]).loop()
+        done = om.simulate(**loop, on_step=None if steps is None else stop_after(steps), **options)
+        return done, packed({part: loop[part].memory() for part in ("controller", "plant")})
 
-    whole = ring(**LOOPS[loop]).simulate()
+    whole, remembered = run()
     assert whole.status == "done"
-    assert again(3).status == "stopped"
-    resumed = again()
+    assert run(3, checkpoint=tmp_path / "kept")[0].status == "stopped"
+    resumed, again = run(checkpoint=tmp_path / "kept")
     assert same(whole, resumed)
+    assert again == remembered
     assert (resumed.status, resumed.cost) == ("done", whole.cost)
-    both = [{k: v for k, v in run.summary().items() if "seconds" not in k} for run in (whole, resumed)]
+    both = [{k: v for k, v in each.summary().items() if "seconds" not in k} for each in (whole, resumed)]
     assert both[0] == both[1]
 
 
 def test_a_run_that_was_complete_is_returned_without_a_solve(
-    ring: Callable[..., om.Scenario], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = ring(**CHAIN).simulate(checkpoint=tmp_path / "kept")
+    first = om.simulate(town(), steps=3, checkpoint=tmp_path)
     monkeypatch.setattr(om.Controller, "plan", None)
-    second = ring(**CHAIN).simulate(checkpoint=tmp_path / "kept")
+    second = om.simulate(town(), steps=3, checkpoint=tmp_path)
     assert (second.status, same(first, second)) == ("done", True)
 
 
@@ -191,6 +193,30 @@ def test_twenty_kills_lose_nothing(ring: Callable[..., om.Scenario], tmp_path: P
     assert statuses.count(-signal.SIGKILL) >= 5
     assert 4 < reached < 50  # the kills came in the midst of it
     assert same(om.simulate(**loop, checkpoint=kept), whole)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 8, 11])
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_kill_in_the_midst_of_writing_loses_nothing(
+    call: str, number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, log, problem = om.Checkpoint(tmp_path / "kept", steps=1), tmp_path / "log", town()
+    problem.compile()
+    original, left = getattr(os, call), iter(range(number - 1, -1, -1))
+
+    def killed(*arguments: Any, **options: Any) -> None:  # at the last moment before
+        if next(left) == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        original(*arguments, **options)
+
+    def run() -> None:
+        monkeypatch.setattr(os, call, killed)
+        with log.open("ab", buffering=0) as file:
+            om.simulate(problem, steps=5, checkpoint=kept, on_step=lambda _: file.write(b"."))
+
+    assert os.waitstatus_to_exitcode(os.waitpid(child(run), 0)[1]) == -signal.SIGKILL
+    saved, told = kept.load(), log.read_bytes() if log.exists() else b""
+    assert (0 if saved is None else len(saved.steps)) >= len(told)
 
 
 # Signals --------------------------------------------------------------------------------------------
