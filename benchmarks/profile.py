@@ -26,7 +26,7 @@ def profiled(horizon: int, situation: str) -> dict[str, Any]:
     state = plan.next_state()
     session: Any = problem.session
     options = session._plugin_options(situation) | {"record_time": True}
-    session._solvers[situation] = ca.nlpsol(
+    solver = ca.nlpsol(
         "solver",
         "ipopt",
         session._assembly.oracle,
@@ -37,9 +37,10 @@ def profiled(horizon: int, situation: str) -> dict[str, Any]:
         }
         | options,
     )
+    session._current = situation, solver
     warm = situation == "moved"
     step_s, solved = timed(lambda: problem.solve(1, state, plan) if warm else problem.solve())
-    stats = session._solver(situation).stats()
+    stats = solver.stats()
     functions = {name.removeprefix("nlp_"): stats[f"t_wall_{name}"] for name in FUNCTIONS}
     solver_s = solved.solution.seconds
     return {

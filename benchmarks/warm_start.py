@@ -35,10 +35,16 @@ STARTS: dict[str, tuple[int | None, dict[str, Any]]] = {
     "last stage stays, push 1e-6": (1, pushed(1e-6)),
     "last 8 stages stay, push 1e-6": (8, pushed(1e-6)),
     "last stage stays, push 1e-3": (1, pushed(1e-3)),
-    "last stage stays, push 1e-2 (the default)": (1, {}),
+    "last stage stays, push 1e-2": (1, pushed(1e-2)),
     "last stage stays, push 1e-1": (1, pushed(1e-1)),
     "last stage stays, push 1e-3, mu_init 1e-3": (1, pushed(1e-3, mu_init=1e-3)),
     "last stage stays, push 1e-3, adaptive": (1, pushed(1e-3, mu_strategy="adaptive")),
+}
+# IPOPT options of complete closed loops, in which all other pushes are 1e-2.
+LOOPS: dict[str, dict[str, Any]] = {
+    "closed loop, multipliers 1e-2": {"warm_start_mult_bound_push": 1e-2},
+    "closed loop, multipliers 1e-4": {"warm_start_mult_bound_push": 1e-4},
+    "closed loop, multipliers by the last step (the default)": {},
 }
 
 
@@ -96,6 +102,27 @@ def starts(name: str, quick: bool) -> dict[str, Any]:
     return {"rows": rows}
 
 
+def loops(name: str, quick: bool) -> dict[str, Any]:
+    """Iterations and seconds of the warm steps of a closed loop, for every push of the multipliers."""
+    import opfmodel as om
+
+    rows: dict[str, Any] = {}
+    for label, options in LOOPS.items():
+        overrides: dict[str, Any] = {"controller.solver": {"name": "ipopt", "options": options}}
+        if quick:
+            overrides |= {"controller.horizon": 6, "time.steps": 6}
+        run = om.load_scenario(SCENARIOS / f"{name}.yaml", overrides=overrides).simulate()
+        plans = run.plans[1:]
+        iterations = [plan["iterations"] for plan in plans]
+        rows[label] = {
+            "iterations": float(np.mean(iterations)),
+            "most": max(iterations),
+            "seconds": float(np.mean([plan["solve_seconds"] for plan in plans])),
+            "failed": len(run.summary()["retries"]),
+        }
+    return {"rows": rows}
+
+
 def _loop(problem: Any, scenario: Any, first: int, count: int) -> tuple[list[Any], list[Any]]:
     """Instances and cold solutions of part of a closed loop, which begins at the single-stage optimum."""
     import opfmodel as om
@@ -127,12 +154,13 @@ def main() -> None:
     names = list(WINDOWS)[:1] if options.quick else list(WINDOWS)
     rows: dict[str, dict[str, Any]] = {}
     for name in names:
-        result = measure(starts, name, options.quick)
-        if "error" in result:
-            raise SystemExit(result["error"])
-        for label, figures in result["rows"].items():
-            row = rows.setdefault(label, {"measurement": label})
-            row |= {f"{name}, {key}": value for key, value in figures.items()}
+        for measured in (starts, loops):
+            result = measure(measured, name, options.quick)
+            if "error" in result:
+                raise SystemExit(result["error"])
+            for label, figures in result["rows"].items():
+                row = rows.setdefault(label, {"measurement": label})
+                row |= {f"{name}, {key}": value for key, value in figures.items()}
     report("warm_start", list(rows.values()))
 
 

@@ -25,6 +25,9 @@ class Start:
     moved
         Number of stages by which the point was shifted in time; back ends trust an unshifted
         point more.
+    iterations
+        Iterations of the solve that found the point: whether the last problem was an easy one; None
+        if unknown.
     """
 
     x: Array
@@ -32,6 +35,7 @@ class Start:
     lam_g: Array | None = None
     z: Array | None = None
     moved: int = 0
+    iterations: int | None = None
 
 
 @dataclass(frozen=True)
@@ -221,7 +225,7 @@ class Solution:
 
     def start(self) -> Start:
         """This point as the start of the same problem."""
-        return Start(self.x, self.lam_x, self.lam_g, self.z)
+        return Start(self.x, self.lam_x, self.lam_g, self.z, iterations=self.iterations)
 
     def shifted(self, stages: int = 1) -> Start:
         """This point shifted ahead in time: every block drops its first stages.
@@ -271,6 +275,7 @@ class Solution:
             move(self.lam_g, self.program.rows.values()),
             move(self.z, self.program.cones.values()),
             moved=moved,
+            iterations=self.iterations,
         )
 
 

@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 import solvers
 from solvers import ProgramBuilder, SolutionStatus, TerminationCondition, total
@@ -227,6 +229,36 @@ def test_multipliers_of_a_start_save_osqp_most_of_its_iterations() -> None:
     assert warm.iterations <= fresh.iterations
     assert warm.status is fresh.status is SolutionStatus.GLOBALLY_OPTIMAL
     assert warm.objective == pytest.approx(fresh.objective, rel=1e-5)
+
+
+@given(iterations=st.lists(st.none() | st.integers(0, 30), min_size=1, max_size=4))
+@settings(max_examples=8, deadline=None)
+def test_what_ipopt_finds_depends_on_its_start_alone(iterations: list[int | None]) -> None:
+    program = storage()
+    used = solvers.prepare(program, "ipopt")
+    solution = used.solve(program.default)
+    for step, count in enumerate(iterations, start=1):
+        start, ahead = replace(solution.shifted(), iterations=count), moved(program, step)
+        solution = used.solve(ahead, start)
+        fresh = solvers.prepare(program, "ipopt").solve(ahead, start)
+        assert solution.iterations == fresh.iterations
+        for vector in ("x", "lam_x", "lam_g"):
+            assert_array_equal(getattr(solution, vector), getattr(fresh, vector))
+
+
+def test_ipopt_keeps_multipliers_close_to_zero_after_an_easy_solve() -> None:
+    program = storage()
+    start = solvers.prepare(program, "ipopt").solve(program.default).shifted()
+
+    def result(count: int | None, options: dict[str, float] | None = None) -> solvers.Solution:
+        session = solvers.prepare(program, "ipopt", options)
+        return session.solve(moved(program, 1), replace(start, iterations=count))
+
+    close, far = (result(None, {"warm_start_mult_bound_push": push}) for push in (1e-4, 1e-2))
+    assert not np.array_equal(close.lam_x, far.lam_x)
+    for count, like in ((None, far), (30, far), (9, far), (8, close), (1, close)):
+        assert_array_equal(result(count).lam_x, like.lam_x)
+    assert close.objective == pytest.approx(far.objective, rel=1e-6)
 
 
 def test_what_osqp_finds_does_not_depend_on_what_it_solved_before() -> None:

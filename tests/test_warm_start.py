@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 from conftest import SCENARIOS, two_bus
+from numpy.testing import assert_array_equal
 
 import opfmodel as om
 from opfmodel.plan import Plan
@@ -59,6 +60,42 @@ def test_a_loop_of_warm_plans_has_the_cost_of_a_loop_of_tight_cold_ones() -> Non
         state = steps[-1].state
     assert fast.cost == pytest.approx(Run(tight, made.cost, steps=steps).cost, rel=1e-6)
     assert fast.summary()["retries"] == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "steps"),
+    [
+        ("case5-step", 24, 12),
+        ("case5-random", 12, 24),
+        pytest.param("case118-step", 24, 5, marks=pytest.mark.slow),
+        pytest.param("case118-random", 8, 12, marks=pytest.mark.slow),
+    ],
+)
+def test_the_push_of_multipliers_follows_the_last_step(name: str, horizon: int, steps: int) -> None:
+    runs = {}
+    for push in (1e-2, 1e-4, None):
+        options = {} if push is None else {"warm_start_mult_bound_push": push}
+        overrides = {
+            "controller.horizon": horizon,
+            "time.steps": steps,
+            "controller.solver": {"name": "ipopt", "options": options},
+        }
+        runs[push] = om.load_scenario(SCENARIOS / f"{name}.yaml", overrides=overrides).simulate()
+    taken = {push: sum(plan["iterations"] for plan in run.plans[1:]) for push, run in runs.items()}
+    # the step after the cold solve is pushed far whatever the system, and a change of system shows one step late
+    assert taken[None] <= 1.03 * min(taken[1e-2], taken[1e-4]) + 8
+    for push in (1e-2, 1e-4):
+        assert runs[None].cost == pytest.approx(runs[push].cost, rel=1e-6)
+
+
+def test_a_controller_that_runs_again_takes_the_same_steps() -> None:
+    made = scenario("case5-step", 5)
+    controller = om.Controller(made.problem)
+    first, second = (om.simulate(controller, steps=5, initial=made.initial()) for _ in range(2))
+    assert [p["iterations"] for p in first.plans] == [p["iterations"] for p in second.plans]
+    assert first.cost == second.cost
+    for name in ("pg", "e", "vm"):
+        assert_array_equal(first.data[name], second.data[name])
 
 
 def test_the_same_problem_again_takes_next_to_no_iterations() -> None:

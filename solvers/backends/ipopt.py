@@ -53,8 +53,15 @@ def _warm(push: float) -> dict[str, Any]:
 
 
 # Re-solving the same problem starts at its solution. A problem shifted in time has other active limits;
-# from a point that close to the old ones IPOPT takes tiny steps. docs/warm-start.md has the figures.
-_OPTIONS = {"cold": _COLD, "again": _warm(1e-6), "moved": _warm(1e-2)}
+# from a point that close to the old ones IPOPT takes tiny steps. Multipliers may stay close to zero where few
+# limits change their side, as the iterations of the last solve show. docs/warm-start.md has the figures.
+_OPTIONS = {
+    "cold": _COLD,
+    "again": _warm(1e-6),
+    "moved": _warm(1e-2),
+    "moved from an easy solve": _warm(1e-2) | {"warm_start_mult_bound_push": 1e-4},
+}
+_FEW_ITERATIONS = 8
 # Plugins that take their options in a dictionary named after the plugin.
 _NESTED = ("ipopt", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp", "fatrop", "conopt")
 
@@ -134,35 +141,38 @@ class IpoptSession:
         self._options = options
         self._verbose = verbose
         self._progress = Progress(self._assembly) if watched else None
-        self._solvers: dict[str, Any] = {}  # at most one
+        self._current: tuple[str, Any] | None = None
         self._convex = classify(program).kind < Kind.NONLINEAR
         self._curvature_varies = curvature_varies(program)
         self._solver("cold")
 
     def _solver(self, situation: str) -> Any:
-        """Solver with the options for a situation; all solvers share the same functions.
+        """Solver with the options for a situation, which cannot change once it is created.
 
-        A solver keeps its iterates and the factors of its last matrix until it is deleted, which are half of
-        what a solve needs, and takes milliseconds to create: that of another situation goes first.
+        All solvers share the same functions, but each keeps its own factors. Only the last one is kept, since
+        another costs less than an iteration.
         """
-        if situation not in self._solvers:
-            self._solvers.clear()
-            functions = {
-                "grad_f": self._assembly.gradient,
-                "jac_g": self._assembly.jacobian,
-                "hess_lag": self._assembly.hessian,
-            }
-            # plugins that do not take all three need them in other forms, and derive their own
-            given = functions if set(functions) <= set(ca.nlpsol_options(self._plugin)) else {}
-            try:
-                self._solvers[situation] = ca.nlpsol(
-                    "solver", self._plugin, self._assembly.oracle, given | self._plugin_options(situation)
-                )
-            except RuntimeError as error:
-                raise SolverOptionError(
-                    f"{self._plugin} rejected options {self._options or '(defaults)'}: {_reason(error)}"
-                ) from error
-        return self._solvers[situation]
+        if self._current is None or self._current[0] != situation:
+            self._current = None  # so that the next one can use its memory
+            self._current = situation, self._created(situation)
+        return self._current[1]
+
+    def _created(self, situation: str) -> Any:
+        functions = {
+            "grad_f": self._assembly.gradient,
+            "jac_g": self._assembly.jacobian,
+            "hess_lag": self._assembly.hessian,
+        }
+        # plugins that do not take all three need them in other forms, and derive their own
+        given = functions if set(functions) <= set(ca.nlpsol_options(self._plugin)) else {}
+        try:
+            return ca.nlpsol(
+                "solver", self._plugin, self._assembly.oracle, given | self._plugin_options(situation)
+            )
+        except RuntimeError as error:
+            raise SolverOptionError(
+                f"{self._plugin} rejected options {self._options or '(defaults)'}: {_reason(error)}"
+            ) from error
 
     def _plugin_options(self, situation: str) -> dict[str, Any]:
         general: dict[str, Any] = {
@@ -187,7 +197,6 @@ class IpoptSession:
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance; a start that includes multipliers is a warm start."""
         at = self._smooth.instance(instance)
-        situation = "cold"
         arguments: dict[str, Any] = {
             "x0": instance.start if start is None else start.x,
             "p": at.parameters,
@@ -199,8 +208,7 @@ class IpoptSession:
         if start is not None and start.lam_x is not None and start.lam_g is not None:
             arguments["lam_x0"] = start.lam_x
             arguments["lam_g0"] = self._row_multipliers(start.lam_g, start, at)
-            situation = "moved" if start.moved else "again"
-        solver = self._solver(situation)
+        solver = self._solver(_situation(start) if self._plugin == "ipopt" else "cold")
         if self._progress is not None:
             self._progress.begin(at)
         began = time.perf_counter()
@@ -264,6 +272,16 @@ class IpoptSession:
         if termination is TerminationCondition.INFEASIBLE:
             return SolutionStatus.LOCALLY_INFEASIBLE
         return SolutionStatus.NONE
+
+
+def _situation(start: Start | None) -> str:
+    """Key of the options for a solve from ``start``."""
+    if start is None or start.lam_x is None or start.lam_g is None:
+        return "cold"
+    if not start.moved:
+        return "again"
+    easy = start.iterations is not None and start.iterations <= _FEW_ITERATIONS
+    return "moved from an easy solve" if easy else "moved"
 
 
 def _vector(value: Any) -> Array:
