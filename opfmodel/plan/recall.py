@@ -89,13 +89,14 @@ def plan_memory(problem: MultiStage, plan: Plan) -> dict[str, Any]:
         "z": solution.z,
         "status": solution.status.value,
         "solver": solution.solver,
+        "iterations": solution.iterations,
     }
 
 
 def recalled_plan(problem: MultiStage, memory: Memory) -> Plan:
     """Return a plan from which another can start as it could from the one of :func:`plan_memory`.
 
-    Its data are those that are realised; its effort is zero.
+    Its data are those that are realised; it took no time.
     """
     made = _at(problem, memory["of"])
     horizon, probability = made.horizon, memory["probability"]
@@ -109,11 +110,10 @@ def recalled_plan(problem: MultiStage, memory: Memory) -> Plan:
         program=program,
         evaluator=Evaluator(program),
         instance=instance,
-        **{name: memory[name] for name in ("x", "lam_x", "lam_g", "z", "skipped", "solver")},
+        **{name: memory[name] for name in ("x", "lam_x", "lam_g", "z", "skipped", "solver", "iterations")},
         termination=TerminationCondition.CONVERGED,
         status=SolutionStatus(memory["status"]),
         message="recalled",
-        iterations=0,
         seconds=0.0,
     )
     return Plan(made, made.model, solution, network, request)
