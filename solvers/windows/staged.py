@@ -179,9 +179,9 @@ class Staged:
 
 
 def _stages(program: Program) -> int:
-    """Return the number of stages: that of most blocks of variables, the smaller one of two as frequent."""
+    """Return the number of stages: as many blocks of variables as possible have as many columns, or one more."""
     count = Counter(block.stages for block in program.variables.values() if block.size)
-    return max(count, key=lambda stages: (count[stages], -stages), default=1)
+    return max(count, key=lambda n: (count[n] + count[n + 1], count[n]), default=1)
 
 
 def _columns(
