@@ -179,7 +179,7 @@ class Staged:
 
 
 def _stages(program: Program) -> int:
-    """Return the number of stages: as many blocks of variables as possible have as many columns, or one more."""
+    """Return the number of stages: most blocks of variables have as many columns, or one more."""
     count = Counter(block.stages for block in program.variables.values() if block.size)
     return max(count, key=lambda n: (count[n] + count[n + 1], count[n]), default=1)
 
