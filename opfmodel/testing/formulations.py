@@ -106,7 +106,7 @@ def _check_prices(rules: Contract, formulation: Formulation) -> None:
     grid.update("line", rating=None)
     loads = grid.of(Load)
     # at step 0 the demand of the grid, then of one load after the other a little more and a little less
-    series = {f"{name}.p": np.full(1 + 2 * len(loads), load.p) for name, load in loads.items()}
+    series = {f"{name}.p": np.full(1 + 2 * len(loads), load.p, dtype=float) for name, load in loads.items()}
     for number, values in enumerate(series.values()):
         values[1 + 2 * number : 3 + 2 * number] += (change, -change)
     problem = MultiStage(grid, 1, step, formulation=formulation, profiles=series)
