@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic, map_numbers
+from solvers.folding import Affine, Quadratic, fold_affine, fold_quadratic
 from solvers.program import Array, Index, Placement, Program
 from solvers.sharing import assembled
 
@@ -264,6 +264,7 @@ class Evaluator:
     def __init__(self, program: Program) -> None:
         self.program = program
         self.assembly: Assembly = assembled(program, Assembly)
+        self._mapped: dict[str, Any] = {}
 
     def objective(self, x: Array, p: Array) -> float:
         """Value of the objective."""
@@ -303,8 +304,10 @@ class Evaluator:
             return np.zeros(shape)
         if template.is_identity:
             return variables[0].reshape(shape, order="F")
-        at = (np.reshape(values, (len(values), count)) for values in (variables, parameters))
-        return map_numbers(template.value, count, *at).reshape(shape, order="F")
+        if name not in self._mapped:
+            self._mapped[name] = template.value.map(count)
+        at = (ca.DM(np.stack(each)) if each else ca.DM(0, count) for each in (variables, parameters))
+        return _vector(self._mapped[name](*at)).reshape(shape, order="F")
 
     def outputs(self, x: Array, p: Array) -> dict[str, Array]:
         """Values of all named outputs."""

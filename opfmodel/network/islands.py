@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Sequence
 from typing import TypeVar
 
 __all__ = ["connected"]
@@ -10,7 +10,7 @@ __all__ = ["connected"]
 Node = TypeVar("Node", bound=Hashable)
 
 
-def connected(nodes: Iterable[Node], pairs: Iterable[Iterable[Node]]) -> list[list[Node]]:
+def connected(nodes: Iterable[Node], pairs: Iterable[Sequence[Node]]) -> list[list[Node]]:
     """Return the groups of nodes that pairs connect, in the order of their first nodes.
 
     Nodes that only pairs name follow the others.
