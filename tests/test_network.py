@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import networkx as nx
 import numpy as np
 import pytest
 from conftest import demand, everything, two_bus
@@ -15,6 +16,7 @@ import opfmodel as om
 from opfmodel.check import check
 from opfmodel.errors import ComponentError, NetworkError, ProfileError
 from opfmodel.network.arrays import per_unit
+from opfmodel.network.islands import connected
 from opfmodel.network.physics import branch_admittance, branch_flow, polar_products
 
 
@@ -190,6 +192,14 @@ def test_every_island_has_one_reference(rich_grid: om.Network) -> None:
     assert arrays.reference.tolist() == [0, 1]  # a has the larger generator, b is declared
     assert arrays.notes[0] == "2 islands, each with its own reference bus"
     assert "no reference bus declared in the island of 'a'; 'a' is used" in arrays.notes
+
+
+@given(st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=15))
+def test_islands_are_those_of_networkx(pairs: list[tuple[int, int]]) -> None:
+    graph = nx.Graph(pairs)
+    graph.add_nodes_from(range(10))
+    expected = sorted(map(sorted, nx.connected_components(graph)))
+    assert sorted(map(sorted, connected(range(10), pairs))) == expected
 
 
 def test_too_many_references_are_reported(grid: om.Network) -> None:

@@ -105,6 +105,23 @@ def test_slicing_means_what_it_means_for_arrays(a: np.ndarray, rows: list[int], 
     assert_allclose(evaluate(build, product, {"x": a}), expected)
 
 
+@pytest.mark.parametrize("stages", [2, 50])
+def test_what_repeats_in_time_is_stored_once(stages: int) -> None:
+    build = ProgramBuilder()
+    ratio = np.arange(1.0, 4.0)[:, None]
+    x = build.variable("x", 3, stages, lower=-ratio, upper=ratio)
+    flow = (x * ratio)[[0, 1, 1, 2]]
+    build.add(flow, into=build.rows("balance", 4, stages))
+    build.output("flow", flow)
+    program = build.build()
+    assert program.n_parameters == 4  # the ratios of the four flows
+    block = program.variables["x"]
+    assert_allclose(block.upper, np.broadcast_to(ratio, (3, stages)))
+    for view in (block.lower, block.upper, block.value):
+        assert not view.flags.writeable and view.strides[1] == 0
+    assert all(index.size == 4 for index in program.outputs["flow"].parameters)
+
+
 def test_equal_quantities_cancel() -> None:
     build = ProgramBuilder()
     x = build.variable("x", 3, 4)

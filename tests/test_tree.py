@@ -304,6 +304,9 @@ def test_results_of_a_tree_are_over_nodes() -> None:
     assert high["hours"].values.tolist() == [0.5, 0.5, 1, 2]
     assert high.attrs["cost"] == pytest.approx(plan.scenario_costs["high"])
     assert (high["e"].values[1:] == high["e_next"].values[:-1]).all()
+    along = plan.data.isel(node=horizon.paths[horizon.scenarios.index("high")])
+    assert set(high.data_vars) == set(along.data_vars)
+    assert all((high[name].values == along[name].values).all() for name in high.data_vars)
     with pytest.raises(ModelError, match="high"):
         plan.scenario("hihg")
 
@@ -496,8 +499,10 @@ def test_the_independent_check_verifies_every_scenario(formulation: str, which: 
     plan = solved(horizon, series, formulation)
     for name, own in zip(horizon.scenarios, series, strict=True):
         path = plan.scenario(name)
-        report = check(grid(), path, own, previous_pg={name: pg for name, (pg, _) in BEFORE.items()})
+        before = {name: pg for name, (pg, _) in BEFORE.items()}
+        report = check(grid(), path, own, previous_pg=before)
         assert report.max_violation < 1e-6, report
+        assert check(grid(), plan.trajectory(name), own, previous_pg=before) == report
         assert report.cost == pytest.approx(plan.scenario_costs[name], rel=1e-9)
         broken = path.copy(deep=True)
         broken["e_next"][2] += 1.0  # the check can fail
