@@ -61,9 +61,13 @@ def session_memory(session: Session) -> dict[str, Any]:
 
 
 def recall_session(session: Session, memory: Mapping[str, Any]) -> None:
-    """Put back what :func:`session_memory` returned, in another process for instance."""
-    if memory:
-        session.recall(memory)  # type: ignore[attr-defined]
+    """Put back what :func:`session_memory` returned, in another process for instance.
+
+    An empty memory is that of a new session: what it has learnt since is forgotten.
+    """
+    own = getattr(session, "recall", None)
+    if own is not None:
+        own(memory)
 
 
 class BackEnd(Protocol):
@@ -260,8 +264,8 @@ class _SecondOpinion:
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Put back what both sessions remembered."""
         recall_session(self._session, memory.get("first", {}))
-        if "other" in memory:
-            recall_session(self._other, memory["other"])
+        if "other" in memory or "_other" in vars(self):
+            recall_session(self._other, memory.get("other", {}))
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve, with the other back end if the first finds nothing."""

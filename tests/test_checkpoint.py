@@ -53,9 +53,9 @@ time: {steps: 5}
 profiles:
   - step: {loads: [town], first: 1, last: 3, factor: 1.3}
 controller:
-  horizon: 4
+  horizon: 3
   on_infeasible: elastic
-  scenarios: {common: 1, draw: {number: 20, keep: 3, seed: 1}}
+  scenarios: {common: 1, draw: {number: 20, keep: 2, seed: 1}}
 forecast: {noisy: {deviation: 0.04, seed: 5}}
 plant: {mode: redispatch, outages: [{branch: ab, step: 2, hours: 1}], known: 1}
 """
@@ -138,6 +138,14 @@ def test_a_run_that_was_complete_is_returned_without_a_solve(
     assert (second.status, same(first, second)) == ("done", True)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["osqp", "secured"])
+def test_a_run_that_is_repeated_is_the_same(name: str, ring: Callable[..., om.Scenario]) -> None:
+    loop = ring(**LOOPS[name]).loop()
+    first, second = (om.simulate(**loop | {"steps": 3}) for _ in range(2))
+    assert same(first, second)
+
+
 # Kills ----------------------------------------------------------------------------------------------
 
 
@@ -170,7 +178,7 @@ def kill_after(pid: int, seconds: float, number: signal.Signals) -> int:
 @pytest.mark.slow
 def test_twenty_kills_lose_nothing(ring: Callable[..., om.Scenario], tmp_path: Path) -> None:
     kept, log, moments = om.Checkpoint(tmp_path / "kept", steps=2), tmp_path / "log", random.Random(1)
-    scenario = ring(**{"time.steps": 50, "controller.horizon": 3, "controller.scenarios.draw.keep": 2})
+    scenario = ring(**{"time.steps": 50})
     loop, began, ends = scenario.loop(), time.process_time(), list[float]()
     # what is compiled here is so in all processes, which therefore are killed in the midst of their steps
     whole = om.simulate(**loop, on_step=lambda _: ends.append(time.process_time() - began))
@@ -284,7 +292,10 @@ def constrained(most: float) -> om.MultiStage:
         ({"controller": town(options={"max_iter": 77}, solver="clarabel")}, "solver, options"),
         ({"controller": constrained(400.0)}, "constraints"),
         ({"controller": om.Controller(town(), on_infeasible="elastic")}, "on infeasible"),
-        ({"controller": om.Controller(town(), Noisy(0.1, seed=1))}, "forecast, expected"),
+        (
+            {"controller": om.Controller(town(), Noisy(0.1, seed=1)), "plant": om.PowerFlow()},
+            "plant, forecast, expected",
+        ),
         ({"plant": om.Redispatch()}, "plant"),
         ({"steps": 3}, "steps"),
         ({"objective": om.Economic(energy_weight=1.0)}, "cost"),
@@ -292,11 +303,10 @@ def constrained(most: float) -> om.MultiStage:
     ],
     ids=lambda value: value if isinstance(value, str) else None,
 )
-def test_other_inputs_are_refused_by_name(change: dict[str, Any], named: str, tmp_path: Path) -> None:
-    om.simulate(town(), om.PowerFlow(), steps=2, checkpoint=tmp_path)
-    loop = {"controller": town(), "plant": om.PowerFlow(), "steps": 2} | change
+def test_other_inputs_are_refused_by_name(change: dict[str, Any], named: str, stopped: Path) -> None:
+    loop = {"controller": town(), "plant": om.NominalPlant(), "steps": 4} | change
     with pytest.raises(ResultError, match=f"of other inputs, which differ in {named}; ") as error:
-        om.simulate(**loop, checkpoint=tmp_path)
+        om.simulate(**loop, checkpoint=stopped)
     assert "\n" not in str(error.value)
 
 
@@ -325,6 +335,10 @@ def test_functions_count_by_their_code_and_data() -> None:
     Other.__qualname__ = Mine.__qualname__
     assert digest(limit(1.0)) == digest(limit(1.0)) != digest(limit(2.0))
     assert digest(Mine()) == digest(Mine()) != digest(Other())
+    problem = town()
+    before = digest((problem.formulation, problem.objective, problem.devices))
+    problem.solve()  # what is cached does not count
+    assert digest((problem.formulation, problem.objective, problem.devices)) == before
     assert digest({"a": [1, np.nan]}) == digest({"a": (1, np.nan)}) != digest({"a": [1, np.inf]})
 
 
@@ -367,14 +381,13 @@ def equal(one: Any, other: Any) -> bool:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.dictionaries(st.text(max_size=3), nested, max_size=4))
-def test_what_is_packed_is_read_back_exactly(content: dict[str, Any]) -> None:
-    path = Path(os.environ.get("TMPDIR", "/tmp")) / f"archive-{os.getpid()}.npz"
-    try:
-        path.write_bytes(packed(content))
-        assert equal(content, unpacked(path, "a test"))
-    finally:
-        path.unlink()
+@given(content=st.dictionaries(st.text(max_size=3), nested, max_size=4))
+def test_what_is_packed_is_read_back_exactly(
+    content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "archive.npz"
+    path.write_bytes(packed(content))
+    assert equal(content, unpacked(path, "a test"))
 
 
 def test_archives_take_no_objects(tmp_path: Path) -> None:

@@ -56,7 +56,12 @@ def problem_memory(problem: MultiStage) -> dict[str, Any]:
 
 
 def recall_problem(problem: MultiStage, memory: Memory) -> None:
-    """Put back what :func:`problem_memory` returned."""
+    """Put back what :func:`problem_memory` returned; an empty memory is that of a new problem."""
+    for _, made in _kin(problem):
+        if "screening" in vars(made):
+            made.screening.begin()
+        if "_compiled" in vars(made):
+            recall_session(made.session, {})
     for path, own in memory.items():
         made = _at(problem, path)
         if "screening" in own:
@@ -144,7 +149,6 @@ def _screening_memory(problem: MultiStage) -> dict[str, Any]:
 
 def _recall_screening(problem: MultiStage, memory: Memory) -> None:
     screening = problem.screening
-    screening.begin()
     if memory["included"]:
         screening.include((stage, tuple(out)) for stage, out in memory["included"])
     responses = screening.responses

@@ -69,9 +69,10 @@ class Screening:
         self.begin()
 
     def begin(self) -> None:
-        """Begin with no contingencies included."""
+        """Begin with no contingencies included, and no responses from which others start."""
         self.included: tuple[Contingency, ...] = ()
         self.problem = self.plain
+        self.responses.last = {}
 
     def include(self, contingencies: Iterable[Contingency]) -> None:
         """Include more contingencies in the problem."""

@@ -298,6 +298,7 @@ class Keeper:
         controller.recall(saved.controller)
         plant.recall(saved.plant)
         self._now = {"state": saved.state, "controller": saved.controller, "plant": saved.plant}
+        self.saved = None
         return len(saved.steps), saved.state
 
     def step(self, run: Run, state: Initial, controller: Controller, plant: Plant) -> None:

@@ -97,8 +97,9 @@ class Controller:
     def begin(self) -> None:
         """Start a run and discard the history of the last one."""
         self._last, self.attempts = None, []
-        if self.problem.security is not None and self.problem.security.screen:
-            self.problem.screening.begin()
+        recall_problem(self.problem, {})
+        if "_twin" in vars(self):
+            recall_problem(self._twin, {})
 
     def memory(self) -> Memory:
         """Return what later plans depend on besides their arguments, as plain data.
@@ -116,7 +117,7 @@ class Controller:
     def recall(self, memory: Memory) -> None:
         """Put back what :meth:`memory` returned, after :meth:`begin`, in another process for instance."""
         recall_problem(self.problem, memory["problem"])
-        if "twin" in memory:
+        if memory.get("twin"):
             recall_problem(self._twin, memory["twin"])
         last = memory["last"]
         self._last = None if last is None else recalled_plan(self.problem, last)

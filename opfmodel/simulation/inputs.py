@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import partial, singledispatch
+from functools import cached_property, partial, singledispatch
 from pathlib import Path
 from types import CodeType, FunctionType, NoneType
 from typing import Any
@@ -185,10 +185,17 @@ def _stated(value: Any) -> dict[str, Any]:
     """Return what an object was made from: its fields, arguments of the constructor, public attributes."""
     if is_dataclass(value):
         return {each.name: getattr(value, each.name) for each in fields(value) if each.init}
-    known = vars(value)
+    cached = {
+        name for each in type(value).__mro__ for name, member in vars(each).items() if _is_cache(member)
+    }
+    known = {name: each for name, each in vars(value).items() if name not in cached}
     taken = inspect.signature(type(value).__init__).parameters
     made = {name: known[f"_{name}"] for name in taken if f"_{name}" in known}
     return made | {name: each for name, each in known.items() if not name.startswith("_")}
+
+
+def _is_cache(member: object) -> bool:
+    return isinstance(member, cached_property)
 
 
 def _is_plain(value: Any) -> bool:

@@ -125,9 +125,11 @@ class OSQPSession:
         return {} if scaled is None else {each.name: getattr(scaled, each.name) for each in fields(scaled)}
 
     def recall(self, memory: Mapping[str, Array]) -> None:
-        """Scale by the instance that :meth:`memory` returned."""
-        with redirect_stdout(io.StringIO()):
-            self._state(Instance(**memory))
+        """Scale by the instance that :meth:`memory` returned, or by the next one."""
+        self._solver, self._stated, self._scaled_by, self._adapted = None, None, None, False
+        if memory:
+            with redirect_stdout(io.StringIO()):
+                self._state(Instance(**memory))
 
     def _call(self, instance: Instance, point: tuple[Array, Array]) -> _Found:
         import osqp

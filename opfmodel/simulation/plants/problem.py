@@ -56,6 +56,8 @@ class ACPlant(Plant):
             self._controlled, self._own = problem, None
             names, known = problem.arrays.generator.names, problem.profiles
             self._available = np.array([SeriesKey(name, "p_max") in known for name in names])
+        elif self._own is not None:
+            recall_problem(self._own, {})
         self._last, self._next, self._memory = None, 0, None
         before = (state or {}).get("pg") if problem.generator_delay == 0 else None
         self._before = None if before is None else np.asarray(before, dtype=float) / problem.arrays.base_mva
