@@ -261,6 +261,18 @@ def test_ipopt_keeps_multipliers_close_to_zero_after_an_easy_solve() -> None:
     assert close.objective == pytest.approx(far.objective, rel=1e-6)
 
 
+def test_ipopt_goes_on_from_multipliers_far_from_zero_if_a_solve_is_not_as_easy_as_the_last() -> None:
+    program = storage()
+    first = solvers.prepare(program, "ipopt").solve(program.default)
+    start, ahead = replace(first.shifted(), iterations=1), moved(program, 7)
+    found = solvers.prepare(program, "ipopt").solve(ahead, start)
+    assert found.iterations > 12
+    assert found.objective == pytest.approx(solvers.solve(program, "ipopt", ahead).objective, rel=1e-6)
+    stopped = solvers.prepare(program, "ipopt", {"max_iter": 3}).solve(ahead, start)
+    assert stopped.termination is TerminationCondition.ITERATION_LIMIT
+    assert stopped.iterations == 3
+
+
 def test_what_osqp_finds_does_not_depend_on_what_it_solved_before() -> None:
     program = storage()
     session = solvers.prepare(program, "osqp", {"adaptive_rho_tolerance": 1.1})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -52,6 +53,10 @@ def _warm(push: float) -> dict[str, Any]:
     return _COLD | {"warm_start_init_point": "yes", "mu_init": 1e-7} | dict.fromkeys(_PUSHES, push)
 
 
+# A solve of so few iterations was an easy one, and the next is none if it takes so many.
+_FEW_ITERATIONS = 8
+_MANY_ITERATIONS = 12
+_EASY = "moved from an easy solve"
 # Re-solving the same problem starts at its solution. A problem shifted in time has other active limits;
 # from a point that close to the old ones IPOPT takes tiny steps. Multipliers may stay close to zero where few
 # limits change their side, as the iterations of the last solve show. docs/warm-start.md has the figures.
@@ -59,9 +64,8 @@ _OPTIONS = {
     "cold": _COLD,
     "again": _warm(1e-6),
     "moved": _warm(1e-2),
-    "moved from an easy solve": _warm(1e-2) | {"warm_start_mult_bound_push": 1e-4},
+    _EASY: _warm(1e-2) | {"warm_start_mult_bound_push": 1e-4, "max_iter": _MANY_ITERATIONS},
 }
-_FEW_ITERATIONS = 8
 # Plugins that take their options in a dictionary named after the plugin.
 _NESTED = ("ipopt", "bonmin", "knitro", "snopt", "worhp", "uno", "madnlp", "fatrop", "conopt")
 
@@ -196,6 +200,19 @@ class IpoptSession:
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance; a start that includes multipliers is a warm start."""
+        situation = _situation(start) if self._plugin == "ipopt" else "cold"
+        solution = self._solved(instance, start, situation)
+        limited = solution.termination is TerminationCondition.ITERATION_LIMIT
+        if situation != _EASY or not limited or "max_iter" in self._options:
+            return solution
+        more = self._solved(instance, solution.start(), "moved")  # not as easy as the last one
+        return replace(
+            more,
+            iterations=(solution.iterations or 0) + (more.iterations or 0),
+            seconds=solution.seconds + more.seconds,
+        )
+
+    def _solved(self, instance: Instance, start: Start | None, situation: str) -> Solution:
         at = self._smooth.instance(instance)
         arguments: dict[str, Any] = {
             "x0": instance.start if start is None else start.x,
@@ -208,7 +225,7 @@ class IpoptSession:
         if start is not None and start.lam_x is not None and start.lam_g is not None:
             arguments["lam_x0"] = start.lam_x
             arguments["lam_g0"] = self._row_multipliers(start.lam_g, start, at)
-        solver = self._solver(_situation(start) if self._plugin == "ipopt" else "cold")
+        solver = self._solver(situation)
         if self._progress is not None:
             self._progress.begin(at)
         began = time.perf_counter()
@@ -281,7 +298,7 @@ def _situation(start: Start | None) -> str:
     if not start.moved:
         return "again"
     easy = start.iterations is not None and start.iterations <= _FEW_ITERATIONS
-    return "moved from an easy solve" if easy else "moved"
+    return _EASY if easy else "moved"
 
 
 def _vector(value: Any) -> Array:
