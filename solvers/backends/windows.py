@@ -167,7 +167,7 @@ class WindowsSession:
             termination=termination,
             status=status,
             message=message,
-            solver=self._solver,
+            solver=f"{Windows.name}:{self._solver}",
             iterations=sweeps.iterations,
             seconds=sweeps.seconds,
         )
