@@ -11,9 +11,9 @@ __all__ = ["check_memory", "machine_bytes", "problem_bytes", "run_bytes", "serie
 
 MB, GB = 1_000_000, 1_000_000_000
 # Measured on the 118-bus system with storage at every bus (589 components, 24 to 768 stages), compiled and
-# solved by IPOPT: 2.3 MB per stage of AC, 2.8 MB of SOC, 1.0 to 1.9 MB of DC, 0.6 MB of copperplate. The
+# solved by IPOPT: 2.0 MB per stage of AC, 1.0 MB of DC, 0.6 MB of copperplate. The
 # lowest figure of each group is used, so a problem is refused only if it would certainly not fit.
-_REACTIVE_BYTES = 4_000  # per component and stage, formulations with reactive power
+_REACTIVE_BYTES = 3_300  # per component and stage, formulations with reactive power
 _ACTIVE_BYTES = 1_000  # per component and stage, all others
 _PARTS_BYTES = 500  # solved window by window: measured 0.4 MB per stage, whatever the length of the horizon
 _SERIES_BYTES = 40  # per load and step: active and reactive demand, and temporary arrays of a rule
