@@ -288,6 +288,15 @@ class _SharedStart:
         self._digest = structure_digest(program)
         self._first = True
 
+    def memory(self) -> dict[str, Any]:
+        """Return what the session remembers, and whether it has solved anything."""
+        return {"first": self._first, "session": session_memory(self._session)}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Put back what :meth:`memory` returned."""
+        self._first = bool(memory.get("first", True))
+        recall_session(self._session, memory.get("session", {}))
+
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance; the first one from the shared starting point, unless it has its own."""
         if not self._first:

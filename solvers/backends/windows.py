@@ -12,7 +12,7 @@ import numpy.typing as npt
 from solvers.placewise import PlacewiseEvaluator
 from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
-from solvers.solve import back_ends, installed, prepare, session_memory
+from solvers.solve import back_ends, installed, prepare, recall_session, session_memory
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, classify
 from solvers.windows.chain import Chain, Sessions
@@ -95,8 +95,13 @@ class WindowsSession:
         return {"overlap": self.overlap, "sessions": {key: kept for key, kept in known.items() if kept}}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
-        """Put back what :meth:`memory` returned."""
-        self.overlap, self._recalled, self._cut = int(memory["overlap"]), memory["sessions"], None
+        """Put back what :meth:`memory` returned; an overlap that is not known is measured again."""
+        overlap, self._recalled = int(memory.get("overlap", 0)), memory.get("sessions", {})
+        if overlap != self.overlap or self._cut is None:
+            self.overlap, self._cut = overlap, None
+            return
+        for key, session in self._cut.sessions.items():
+            recall_session(session, self._recalled.get(key.hex(), {}))
 
     def _cut_for(self, instance: Instance) -> _Cut:
         """Return the program cut into windows; again the last one, if the same rows are in force."""
