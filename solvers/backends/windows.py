@@ -12,7 +12,7 @@ import numpy.typing as npt
 from solvers.placewise import PlacewiseEvaluator
 from solvers.program import Instance, Program
 from solvers.solution import Solution, Start
-from solvers.solve import back_ends, installed, prepare, recall_session, session_memory
+from solvers.solve import back_ends, installed, prepare
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.structure import Kind, classify
 from solvers.windows.chain import Chain, Sessions
@@ -90,9 +90,7 @@ class WindowsSession:
 
     def memory(self) -> dict[str, Any]:
         """Return the measured overlap and what the back end of the windows remembers."""
-        sessions = {} if self._cut is None else self._cut.sessions
-        known = {key.hex(): session_memory(session) for key, session in sessions.items()}
-        return {"overlap": self.overlap, "sessions": {key: kept for key, kept in known.items() if kept}}
+        return {"overlap": self.overlap, "sessions": {} if self._cut is None else self._cut.sessions.memory()}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Put back what :meth:`memory` returned; an overlap that is not known is measured again."""
@@ -100,8 +98,7 @@ class WindowsSession:
         if overlap != self.overlap or self._cut is None:
             self.overlap, self._cut = overlap, None
             return
-        for key, session in self._cut.sessions.items():
-            recall_session(session, self._recalled.get(key.hex(), {}))
+        self._cut.sessions.recall(self._recalled)
 
     def _cut_for(self, instance: Instance) -> _Cut:
         """Return the program cut into windows; again the last one, if the same rows are in force."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from solvers.program import Array, Program
 from solvers.solution import Start
-from solvers.solve import Session, prepare, recall_session
+from solvers.solve import Session, prepare, recall_session, session_memory
 from solvers.status import SolutionStatus, TerminationCondition
 from solvers.windows.piece import End, Piece
 
@@ -23,8 +23,7 @@ class Sessions(dict[bytes, Session]):
     Parameters
     ----------
     recalled
-        What the sessions remember, by the structure in hexadecimal digits; see
-        :func:`solvers.solve.session_memory`.
+        What the sessions remember, by the structure in hexadecimal digits; see :meth:`memory`.
     """
 
     def __init__(
@@ -43,6 +42,17 @@ class Sessions(dict[bytes, Session]):
         self[structure] = prepare(self._programs[structure], self._solver, self._options)
         recall_session(self[structure], self._recalled.get(structure.hex(), {}))
         return self[structure]
+
+    def memory(self) -> dict[str, Mapping[str, Any]]:
+        """Return what the sessions remember."""
+        known = {structure.hex(): session_memory(session) for structure, session in self.items()}
+        return {structure: memory for structure, memory in known.items() if memory}
+
+    def recall(self, recalled: Mapping[str, Mapping[str, Any]]) -> None:
+        """Put back what :meth:`memory` returned, also in sessions that are not prepared yet."""
+        self._recalled = recalled
+        for structure, session in self.items():
+            recall_session(session, recalled.get(structure.hex(), {}))
 
 
 @dataclass(frozen=True, eq=False)
