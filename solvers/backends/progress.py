@@ -69,6 +69,7 @@ class Progress(ca.Callback):
         }
         self._at = assembly.program.default
         self._verdict = Verdict()
+        self._first: Sequence[Any] | None = None
         self._weights: Array | None = None
         self.lost = False
         self.construct("progress", {})
@@ -80,7 +81,8 @@ class Progress(ca.Callback):
 
     def begin(self, instance: Instance) -> None:
         """Watch a solve of an instance."""
-        self._at, self._verdict, self.lost, self._weights = instance, Verdict(), False, None
+        self._at, self._verdict, self.lost = instance, Verdict(), False
+        self._first = self._weights = None
 
     def get_n_in(self) -> int:
         """Number of results of ``nlpsol``."""
@@ -95,7 +97,17 @@ class Progress(ca.Callback):
         return ca.Sparsity.dense(self._sizes.get(ca.nlpsol_out(position), 0), 1)
 
     def eval(self, arguments: Sequence[Any]) -> list[Any]:
-        """Look at an iterate, and return 1 to stop."""
+        """Look at an iterate, and return 1 to stop; at the first one not before there is a second."""
+        if self._first is None:
+            self._first = arguments
+            return [0]
+        if self._weights is None:
+            self._verdict.lost(*self._residuals(self._first))
+        self.lost = self._verdict.lost(*self._residuals(arguments))
+        return [int(self.lost)]
+
+    def _residuals(self, arguments: Sequence[Any]) -> tuple[float, float]:
+        """Infeasibility, and residual of the dual, of an iterate."""
         at = dict(zip(map(ca.nlpsol_out, range(len(arguments))), arguments, strict=True))
         g, p = _vector(at["g"]), self._at.parameters
         jacobian = self._assembly.jacobian(at["x"], p)[1]
@@ -104,8 +116,7 @@ class Progress(ca.Callback):
         outside = np.maximum(self._at.row_lower - g, g - self._at.row_upper)
         slope = self._assembly.gradient(at["x"], p)[1] + at["lam_x"] + ca.mtimes(jacobian.T, at["lam_g"])
         primal = float((self._weights * outside).max(initial=0.0))
-        self.lost = self._verdict.lost(primal, float(np.abs(_vector(slope)).max(initial=0.0)))
-        return [int(self.lost)]
+        return primal, float(np.abs(_vector(slope)).max(initial=0.0))
 
 
 def _weights(jacobian: Any) -> Array:
