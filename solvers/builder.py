@@ -199,7 +199,8 @@ class ProgramBuilder:
         """
         index = [rows.index for rows in into]
         name = "+".join(dict.fromkeys(rows.name for rows in into))
-        placement = self._place(name, outer(*inner), index)
+        whole = outer(*inner)  # kept, so that the constants of its formulas are those of the terms
+        placement = self._place(name, whole, index)
         if not placement.count:
             return
         template = placement.template
@@ -209,7 +210,7 @@ class ProgramBuilder:
         )
         parts = Composition(
             Template(
-                f"quantities of {name}",
+                f"quantities of {name} ({len(self._constraints) + 1})",
                 template.variables,
                 template.parameters,
                 column([expression.formula for expression in inner]),

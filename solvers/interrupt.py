@@ -19,20 +19,19 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-__all__ = ["STOPS", "deferred", "interruptible", "raising"]
+__all__ = ["MARK", "STOPS", "deferred", "interruptible"]
 
 Handler = Callable[[int, FrameType | None], object]
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """The signals that ask a process to end."""
 
-_RAISING: list[object] = [signal.default_int_handler]
+MARK = "raises_keyboard_interrupt"
+"""Attribute of signal handlers that raise ``KeyboardInterrupt``, for :func:`interruptible`."""
 
 
-def raising(handler: Handler) -> Handler:
-    """Declare, for :func:`interruptible`, that a signal handler raises ``KeyboardInterrupt``."""
-    _RAISING.append(handler)
-    return handler
+def _raises(handler: object) -> bool:
+    return handler is signal.default_int_handler or getattr(handler, MARK, False)
 
 
 @contextlib.contextmanager
@@ -104,13 +103,13 @@ def interruptible(*, quiet: bool = False) -> Iterator[None]:
     known = {number: signal.getsignal(number) for number in STOPS}
     outer = next((handler for handler in known.values() if isinstance(handler, _Watch)), None)
     handlers = {
-        number: handler for number, handler in known.items() if any(handler is each for each in _RAISING)
+        number: handler for number, handler in known.items() if callable(handler) and _raises(handler)
     }
     ours = threading.current_thread() is threading.main_thread()
     if not ours or not (outer or handlers):
         yield
         return
-    watch = outer or _Watch(handlers)  # type: ignore[arg-type]
+    watch = outer or _Watch(handlers)
     captured = io.StringIO()
     try:
         with (

@@ -103,6 +103,8 @@ class Sharing:
             return self._kept[digest][1]
         self.assembled += 1
         made = assemble(program)
+        if program.n_variables > self.variables:
+            return made
         self._kept[digest] = program.n_variables, made
         while len(self._kept) > self.most or sum(size for size, _ in self._kept.values()) > self.variables:
             self._kept.popitem(last=False)
@@ -140,7 +142,7 @@ def structure_digest(program: Program) -> str:
 
 
 def _add(digest: Any, template: Template, *positions: Index) -> None:
-    digest.update(template.value.serialize().encode())
+    digest.update(template.serialized.encode())
     for index in positions:
         digest.update(repr(index.shape).encode())
         digest.update(index.tobytes())

@@ -190,7 +190,7 @@ def find(name: str, kind: Kind) -> tuple[BackEnd, str]:
 
 def in_parts(name: str) -> bool:
     """Whether the back end that ``name`` refers to solves programs part by part, in little memory."""
-    return getattr(back_ends().get(name.partition(":")[0]), "in_parts", False)
+    return isinstance(name, str) and getattr(back_ends().get(name.partition(":")[0]), "in_parts", False)
 
 
 def _inventory(ends: Mapping[str, BackEnd]) -> str:

@@ -62,8 +62,13 @@ class Template:
 
     def __reduce__(self) -> tuple[Any, tuple[str, str]]:
         """Templates travel to other processes as CasADi functions; symbols cannot."""
+        return _received, (self.name, self.serialized)
+
+    @property
+    def serialized(self) -> str:
+        """The outputs as text, which does not depend on the name."""
         whole = ca.Function("template", [self.variables, self.parameters], [self.outputs])
-        return _received, (self.name, whole.serialize())
+        return str(whole.serialize())
 
     def __repr__(self) -> str:
         shape = f"{self.n_variables} variables, {self.n_parameters} parameters"

@@ -31,7 +31,7 @@ def pairs() -> list[tuple[str, str]]:
         for end in solvers.back_ends().values():
             kind = KIND.get(formulation, solvers.Kind.QUADRATIC)
             if end.accepts >= kind and (end.name != "expanded" or kind is solvers.Kind.NONLINEAR):
-                names = ["ipopt"] if end.name == "ipopt" else list(end.solvers())
+                names = ["ipopt"] if end.name in ("ipopt", "windows") else list(end.solvers())
                 found += [(formulation, f"{end.name}:{name}") for name in names]
     return found
 

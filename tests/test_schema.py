@@ -28,6 +28,7 @@ from opfmodel.network.describe import documented
 from opfmodel.plugins import plugins
 from opfmodel.plugins.catalogue import described
 from opfmodel.scenario.reference import scenario_schema, section_keys
+from opfmodel.study.managed import ClusterFile
 from opfmodel.study.reference import study_schema
 
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
@@ -142,6 +143,8 @@ def test_the_examples_of_the_documentation_validate(block: str) -> None:
     content, _ = parse(block, "")
     if isinstance(content, dict) and ("network" in content or "vary" in content):
         assert faults(content) == []
+    elif isinstance(content, dict) and content.keys() & {"slurm", "ssh"}:
+        ClusterFile.model_validate(content)
     else:  # keys of a scenario, or of its network
         assert [] in [faults({"network": {}, **content}), faults({"network": content})]
 

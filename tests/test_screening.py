@@ -186,10 +186,11 @@ def test_flows_pass_no_outage_that_its_own_problem_does_not(formulation: str, re
             central = responses._response(stage, "", ())
             survived = responses._survived(central, responses.outages)
             for out in responses.outages:
-                status = responses._outcome(stage, out, (), central).status
-                assert out not in survived or status == "secure"
-                passed += out in survived
-                refused += status == "violated"
+                outcome = responses._outcome(stage, out, (), central)
+                # a response that is held in everything has no interior: IPOPT may find none, and names no limit
+                assert out not in survived or outcome.worst is None
+                passed += out in survived and outcome.status == "secure"
+                refused += outcome.worst is not None
     assert passed > 5
     assert refused > 5
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from solvers.interrupt import STOPS, raising
-
 __all__ = ["ended_by_signals"]
+
+_MARK = "raises_keyboard_interrupt"  # solvers.interrupt.MARK, whose import takes longer than a command needs
 
 
 @contextmanager
@@ -21,14 +21,15 @@ def ended_by_signals() -> Iterator[None]:
     """
     terminals = [number for number in (1, 2) if _is_terminal(number)]
 
-    @raising
     def end(signum: int, frame: FrameType | None) -> None:
         if signum != signal.SIGTERM:
             for number in terminals:
                 _drop(number)
         signal.default_int_handler(signum, frame)
 
-    taken = [s for s in STOPS if s != signal.SIGINT and signal.getsignal(s) is signal.SIG_DFL]
+    setattr(end, _MARK, True)
+    stops = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    taken = [number for number in stops if signal.getsignal(number) is signal.SIG_DFL]
     for number in taken:
         signal.signal(number, end)
     try:

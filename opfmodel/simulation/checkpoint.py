@@ -205,8 +205,11 @@ class Checkpoint:
             They cannot be deleted, or another process writes them.
         """
         if self.path.is_dir():
-            with self.locked():
+            lock = self.locked()
+            try:
                 self.clear()
+            finally:
+                lock.release()
             with suppress(OSError):  # other files are not ours
                 (self.path / _LOCK).unlink(missing_ok=True)
                 self.path.rmdir()
@@ -257,7 +260,7 @@ class Keeper:
             self.saved = checkpoint.load()
             if self.saved is not None:
                 self._check(self.saved)
-        except ResultError:
+        except BaseException:
             self._lock.release()
             raise
         if self.saved is not None:

@@ -55,7 +55,11 @@ def prepare(
     known = held if summary is None else summary.get("inputs")
     if known is None and summary is None:
         return None
-    if differing := changed(known, inputs) if isinstance(known, Mapping) else ["what is not recorded"]:
+    if (
+        differing := changed(known, inputs)
+        if isinstance(known, Mapping)
+        else ["inputs that are not recorded"]
+    ):
         raise ResultError(
             f"{folder}: holds results of other inputs, which differ in {listed(differing)}; choose another "
             "folder with --out, or replace them with --force"
@@ -65,4 +69,5 @@ def prepare(
             f"{folder}: holds a run that has not ended; continue it with --resume, or start again with "
             "--force"
         )
-    return summary if resume else None
+    interrupted = summary is not None and str(summary.get("termination")).startswith("interrupted")
+    return summary if resume and not interrupted else None

@@ -10,7 +10,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cached_property, partial, singledispatch
 from pathlib import Path
-from types import CodeType, FunctionType, NoneType
+from types import CodeType, FunctionType, MethodType, NoneType
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,7 @@ def inputs(
     problem = controller.problem
     network, metered = problem.network, problem.objective if objective is None else objective
     named: dict[str, Any] = {"steps": steps, "cost": metered, "plant": plant}
+    named |= {"controller": type(controller), "problem": type(problem)}
     named["network"] = (network.base_mva, network.currency)
     for kind in network.kinds():
         named[f"network {kind.plural}"] = network.of(kind)
@@ -96,6 +97,8 @@ def _inside(value: Any, depth: int) -> Iterator[bytes]:
 def _parts(value: Any, inner: Inner) -> Iterator[bytes]:
     """Yield an object in pieces; ``inner`` does so with what it is made of."""
     yield from inner(type(value))
+    if hasattr(value, "__wrapped__"):  # by functools.lru_cache, for instance
+        yield from inner(value.__wrapped__)
     yield from inner(_stated(value) if hasattr(value, "__dict__") or is_dataclass(value) else str(value))
 
 
@@ -165,8 +168,28 @@ def _(value: CodeType, inner: Inner) -> Iterator[bytes]:
 @_parts.register
 def _(value: FunctionType, inner: Inner) -> Iterator[bytes]:
     cells = [cell.cell_contents for cell in value.__closure__ or () if _filled(cell)]
-    yield from inner((value.__code__, value.__defaults__, value.__kwdefaults__))
+    named = {name: value.__globals__.get(name) for name in value.__code__.co_names}
+    beside = {name: each.__code__ for name, each in named.items() if isinstance(each, FunctionType)}
+    yield from inner((value.__code__, value.__defaults__, value.__kwdefaults__, beside))
     yield from inner([cell for cell in cells if _is_plain(cell)])
+    yield from inner({name: each for name, each in named.items() if each is not None and _is_plain(each)})
+    if hasattr(value, "__wrapped__"):
+        yield from inner(value.__wrapped__)
+
+
+@_parts.register
+def _(value: MethodType, inner: Inner) -> Iterator[bytes]:
+    yield from inner((value.__func__, value.__self__))
+
+
+@_parts.register
+def _(value: np.ufunc, inner: Inner) -> Iterator[bytes]:  # noqa: ARG001
+    yield value.__name__.encode()
+
+
+@_parts.register
+def _(value: np.random.Generator, inner: Inner) -> Iterator[bytes]:
+    yield from inner(value.bit_generator.state)
 
 
 @_parts.register

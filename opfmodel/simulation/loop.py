@@ -102,9 +102,9 @@ def simulate(
         initial = keeper.initial
     run = Run(problem, metered, initial=initial, outages=outages)
     with _progress(steps) if progress else nullcontext(lambda _: None) as advance:
-        controller.begin()
-        plant.begin(problem, initial)
         try:
+            controller.begin()
+            plant.begin(problem, initial)
             problem.compile()
             run.build_seconds = problem.build_seconds
             _loop(run, controller, plant, steps, keeper, advance, on_step)

@@ -88,5 +88,5 @@ class TwoForms:
         if second.status is not SolutionStatus.NONE:
             return second.after(first)
         if first.termination is not TerminationCondition.NO_PROGRESS:
-            return first.after(second)
+            return second.after(first)
         return self._patient.solve(instance, start).after(first, second)

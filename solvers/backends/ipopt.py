@@ -183,7 +183,6 @@ class IpoptSession:
             "print_time": False,
             "error_on_fail": False,
             "calc_lam_p": False,
-            "no_nlp_grad": True,  # the gradient of the Lagrangian, which is not used and takes long to derive
         }
         if self._progress is not None and situation == "cold":
             general |= self._progress.options
@@ -196,7 +195,8 @@ class IpoptSession:
             options |= _COLD_IN_TIME
         if self._program.cones:
             options |= _WITH_CONES
-        return general | {"ipopt": options | printing | self._options}
+        # the gradient of the Lagrangian is not used, and takes long to derive; other plugins need it
+        return general | {"no_nlp_grad": True, "ipopt": options | printing | self._options}
 
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance; a start that includes multipliers is a warm start."""

@@ -81,7 +81,7 @@ class WindowsSession:
             self.trace = sweeps.trace
             while not sweeps.done(settings.tolerance) and len(self.trace) < settings.sweeps:
                 sweeps.sweep()
-                if self._verbose and self.trace:
+                if self._verbose and sweeps.failed is None:
                     sys.stdout.write(f"{self.trace[-1]}\n")
         if sweeps.failed is None and self.trace[-1].jump > _JUMP:
             behind = Partition(cut.staged, [cut.alone[len(cut.partition.chains[0]) :]])
@@ -90,15 +90,16 @@ class WindowsSession:
 
     def memory(self) -> dict[str, Any]:
         """Return the measured overlap and what the back end of the windows remembers."""
-        return {"overlap": self.overlap, "sessions": {} if self._cut is None else self._cut.sessions.memory()}
+        sessions = self._recalled if self._cut is None else self._cut.sessions.memory()
+        return {"overlap": self.overlap, "sessions": dict(sessions)}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Put back what :meth:`memory` returned; an overlap that is not known is measured again."""
-        overlap, self._recalled = int(memory.get("overlap", 0)), memory.get("sessions", {})
-        if overlap != self.overlap or self._cut is None:
-            self.overlap, self._cut = overlap, None
-            return
-        self._cut.sessions.recall(self._recalled)
+        overlap, sessions = int(memory.get("overlap", 0)), memory.get("sessions", {})
+        if self._cut is not None and (self._settings.overlap != "auto" or overlap == self.overlap):
+            self._cut.sessions.recall(sessions)
+        else:
+            self.overlap, self._cut, self._recalled = overlap, None, sessions
 
     def _cut_for(self, instance: Instance) -> _Cut:
         """Return the program cut into windows; again the last one, if the same rows are in force."""
@@ -113,7 +114,7 @@ class WindowsSession:
         led = spans(staged.stages, length, self.overlap, frozenset(chain[0] for chain in chains))
         partition = Partition(staged, [[led[number] for number in chain] for chain in chains])
         sessions = Sessions(partition.programs, self._solver, self._options, self._recalled)
-        self._cut = _Cut(free, staged, alone, partition, sessions)
+        self._cut, self._recalled = _Cut(free, staged, alone, partition, sessions), {}
         return self._cut
 
     def _length(self, staged: Staged) -> int:
@@ -156,7 +157,7 @@ class WindowsSession:
             convex = classify(self._program, instance).kind < Kind.NONLINEAR
             status = SolutionStatus.GLOBALLY_OPTIMAL if convex else SolutionStatus.LOCALLY_OPTIMAL
             termination = TerminationCondition.CONVERGED
-            if last.gap > self._settings.tolerance:
+            if not last.gap <= self._settings.tolerance:
                 status, termination = SolutionStatus.NONE, TerminationCondition.ITERATION_LIMIT
         return Solution(
             program=self._program,

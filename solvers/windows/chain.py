@@ -44,9 +44,9 @@ class Sessions(dict[bytes, Session]):
         return self[structure]
 
     def memory(self) -> dict[str, Mapping[str, Any]]:
-        """Return what the sessions remember."""
+        """Return what the sessions remember, and those that are not prepared yet shall."""
         known = {structure.hex(): session_memory(session) for structure, session in self.items()}
-        return {structure: memory for structure, memory in known.items() if memory}
+        return {**self._recalled, **{structure: memory for structure, memory in known.items() if memory}}
 
     def recall(self, recalled: Mapping[str, Mapping[str, Any]]) -> None:
         """Put back what :meth:`memory` returned, also in sessions that are not prepared yet."""

@@ -34,7 +34,13 @@ def crew(chains: Sequence[Chain], settings: Settings) -> Iterator[Crew]:
 
         def sweep(asked: Sequence[Asked]) -> list[list[Found]]:
             futures = [actor.sweep(*ask) for actor, ask in zip(actors, asked, strict=True)]
-            return [future.result() for future in futures]
+            try:
+                return [future.result() for future in futures]
+            except (RuntimeError, OSError) as error:
+                raise SolverError(
+                    "windows: lost a worker, most likely for lack of memory; state a larger memory or fewer "
+                    f"workers ({error})"
+                ) from error
 
         yield sweep
 

@@ -12,7 +12,7 @@ __all__ = ["Partition", "spans"]
 
 
 def spans(stages: int, length: int, overlap: int, leaders: frozenset[int] = frozenset({0})) -> list[Span]:
-    """Return windows of equal length that cover the stages, the last one shorter.
+    """Return windows of equal length that cover the stages; the last one is up to a half longer or shorter.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class Settings:
     memory
         Memory limit of each, such as ``2GiB``; by default an equal share of the machine.
     scheduler
-        Address of a running Dask scheduler whose workers share them instead.
+        Address of a running Dask scheduler; ``workers`` of its workers share them instead.
     """
 
     window: int | Literal["auto"] = "auto"

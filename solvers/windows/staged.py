@@ -122,7 +122,7 @@ class Staged:
                 kept = into >= 0
                 np.maximum.at(latest, into[kept], own.max(axis=0)[kept])
                 np.minimum.at(earliest, into[kept], own.min(axis=0)[kept])
-        for block in blocks.values():
+        for block in (block for block in blocks.values() if block.size):
             own = latest[block.slice].reshape(-1, block.stages, order="F")
             columns = own.max(axis=0)
             usual = np.arange(block.stages) if block.stages == self.stages else np.zeros(block.stages)
@@ -190,7 +190,7 @@ def _columns(
     """Return the first column of each stage, by block: ``stages + 1`` positions."""
     made = {}
     for block in blocks.values():
-        items = block.size // block.stages
+        items = block.size // max(block.stages, 1)
         own = stage[block.slice][:: max(items, 1)] if items else np.zeros(0, dtype=np.int32)
         if (np.diff(own) < 0).any():
             raise UnsupportedProgramError(

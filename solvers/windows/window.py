@@ -303,7 +303,7 @@ def _positions(
 ) -> Index:
     found = [np.zeros(0, dtype=POSITION)]
     for name, block in blocks.items():
-        items = block.size // block.stages
+        items = block.size // max(block.stages, 1)
         at = columns[name]
         found.append(np.arange(block.offset + items * at[first], block.offset + items * at[last]))
     return np.concatenate(found).astype(POSITION)
