@@ -83,6 +83,17 @@ def test_the_gap_bounds_the_distance_from_the_optimum() -> None:
     assert gaps[-1] < gaps[0]
 
 
+def test_windows_solve_elastic_problems() -> None:
+    found = []
+    for solver, options in (("ipopt", {}), ("windows", {"window": 20, "overlap": 12, "tolerance": 1e-7})):
+        soft = om.MultiStage(
+            grid(), STAGES, formulation="dc", profiles=demand(), elastic=om.Elastic(), solver=solver,
+            options=options,
+        )  # fmt: skip
+        found.append(soft.solve().objective)
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
 def test_sweeps_that_do_not_reach_the_tolerance_are_reported() -> None:
     plan = problem("dc", "windows", window=12, overlap=1, tolerance=1e-14, sweeps=2).solve()
     assert not plan.optimal
@@ -232,6 +243,8 @@ def test_options_are_checked() -> None:
         ({"tolerance": 0}, "windows: tolerance = 0: must be a number above 0"),
         ({"proximal": -1}, "windows: proximal = -1: must be a number of at least 0"),
         ({"scheduler": 8786}, "windows: scheduler = 8786: must be a text"),
+        ({"memory": "lots"}, "windows: memory = 'lots': must be an amount such as 2GiB, at least 100MB"),
+        ({"memory": "10MB"}, "windows: memory = '10MB': must be an amount such as 2GiB, at least 100MB"),
     ):
         with pytest.raises(solvers.SolverOptionError) as caught:
             problem("dc", "windows", **options).solve()

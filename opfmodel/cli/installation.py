@@ -125,7 +125,7 @@ def _tests() -> Iterator[SelfTest]:
 
 
 def _takes_all(solver: str) -> bool:
-    """Whether a solver is no back end of its own that solves convex programs only, as one of windows can be."""
+    """Whether a solver is not a back end for convex programs only, which windows can call."""
     from solvers import Kind, back_ends
 
     end = back_ends().get(solver)

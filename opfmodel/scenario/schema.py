@@ -306,8 +306,8 @@ class ControllerSection(Section):
     )
     solver: Annotated[str | SolverSection, _BY_NAME] = Field(
         "auto",
-        description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`, `windows`), solver (`scs`) or "
-        "both (`conic:scs`)",
+        description="back end (`ipopt`, `clarabel`, `osqp`, `qp`, `conic`, `expanded`, `windows`), solver "
+        "(`scs`) or both (`conic:scs`)",
     )
 
     def lengths(self, step: float) -> list[float]:

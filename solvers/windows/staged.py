@@ -102,6 +102,16 @@ class Staged:
             if placement.variables.size and (stage[placement.variables] == _UNKNOWN).any():
                 latest = np.broadcast_to(stage[placement.variables].max(axis=0), placement.variables.shape)
                 np.maximum.at(found, placement.variables.ravel(), latest.ravel())
+        latest = np.full(program.n_rows, _UNKNOWN, dtype=np.int32)
+        for placement in program.constraints if (stage == _UNKNOWN).any() else ():
+            if placement.variables.size:
+                for into in placement.into:
+                    np.maximum.at(latest, into[into >= 0], stage[placement.variables].max(axis=0)[into >= 0])
+        for placement in program.constraints if (stage == _UNKNOWN).any() else ():  # such as slacks of rows
+            if placement.variables.size and (stage[placement.variables] == _UNKNOWN).any():
+                of = np.where(placement.into >= 0, latest[placement.into], _UNKNOWN).max(axis=0)
+                of = np.broadcast_to(of, placement.variables.shape)
+                np.maximum.at(found, placement.variables.ravel(), of.ravel())
         return np.where(stage == _UNKNOWN, np.maximum(found, 0), stage)
 
     def _of_targets(
