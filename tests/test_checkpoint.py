@@ -342,6 +342,27 @@ def test_functions_count_by_their_code_and_data() -> None:
     assert digest({"a": [1, np.nan]}) == digest({"a": (1, np.nan)}) != digest({"a": [1, np.inf]})
 
 
+LIMIT = 5.0
+
+
+def _within(value: float) -> float:
+    return LIMIT * value
+
+
+def _of_helper(value: float) -> float:
+    return _within(value) + 1.0
+
+
+def test_functions_count_by_what_they_refer_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = digest(_within), digest(_of_helper)
+    monkeypatch.setitem(globals(), "LIMIT", 7.0)
+    assert digest(_within) != before[0]
+    monkeypatch.setitem(globals(), "_within", lambda value: value)
+    assert digest(_of_helper) != before[1]
+    assert digest(np.sin) != digest(np.cos)
+    assert digest(np.random.default_rng(1)) != digest(np.random.default_rng(2))
+
+
 @pytest.mark.slow
 def test_digests_are_the_same_in_every_process(ring: Callable[..., om.Scenario], tmp_path: Path) -> None:
     script = (

@@ -200,3 +200,18 @@ def test_what_counts_as_going_nowhere(primal: list, dual: list, given_up_at: int
     verdict = Verdict()
     said = [verdict.lost(p, d) for p, d in zip(primal, dual, strict=True)]
     assert (said.index(True) if any(said) else None) == given_up_at
+
+
+def test_compositions_into_the_same_rows_have_quantities_of_their_own() -> None:
+    """Also where their formulas have constants that nothing else refers to."""
+    build = ProgramBuilder("twice")
+    x = build.variable("x", 2, lower=0.5, upper=3.0)
+    rows = build.rows("limit", 2, 1, -np.inf, 40.0)
+    for weight in (1.0, 2.0):
+        build.compose(lambda y, w=weight: [np.array([[w], [2.0]]) * y**2], [x + weight], into=[rows])
+    build.minimize(-1.0 * x)
+    program = build.build()
+    found = [prepare(program, solver, TIGHT).solve(program.default) for solver in ("ipopt", "expanded")]
+    assert found[0].status.is_optimal
+    assert found[1].x == pytest.approx(found[0].x, abs=1e-6)
+    assert found[1].primal_residual < 1e-7
