@@ -554,7 +554,7 @@ def test_results_of_other_inputs_are_kept(call: Call, pair: Path, tmp_path: Path
         json.loads((tmp_path / "out" / "summary.json").read_text())["inputs"] != json.loads(before)["inputs"]
     )
     (tmp_path / "out" / "summary.json").write_text("{}")
-    assert "differ in what is not recorded" in call(*run)[2]
+    assert "differ in inputs that are not recorded" in call(*run)[2]
     assert "exclude each other" in call(*run, "--resume", "--force")[2]
 
 
