@@ -625,7 +625,7 @@ def test_sigterm_and_a_lost_terminal_end_a_run_as_ctrl_c_does(pair: Path, tmp_pa
     os.close(theirs)
     wait_for(out / "checkpoint" / f"steps-{summary['steps']}.npz", process)
     os.close(ours)  # hangs up
-    process.wait()
+    assert process.wait() == 1
     later = json.loads((out / "summary.json").read_text())
     assert (later["status"], later["steps"] > summary["steps"]) == ("stopped", True)
     assert later["termination"] == f"interrupted after {later['steps']} steps"

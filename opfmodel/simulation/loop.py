@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -248,11 +248,22 @@ def _scenarios(controller: Controller) -> dict[str, dict[str, Any]]:
 
 @contextmanager
 def _progress(steps: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on standard error; yield a function that advances it."""
+    """Show a progress bar on standard error, while there is one; yield a function that advances it."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("closed loop"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=steps)
-        yield lambda done: bar.advance(task, done)
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task("", total=steps)
+
+    def advance(done: int) -> None:
+        with suppress(OSError):  # a terminal may be lost before its signal arrives
+            bar.advance(task, done)
+
+    with suppress(OSError):
+        bar.start()
+    try:
+        yield advance
+    finally:
+        with suppress(OSError):
+            bar.stop()
