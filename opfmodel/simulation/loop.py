@@ -103,11 +103,12 @@ def simulate(
     run = Run(problem, metered, initial=initial, outages=outages)
     with _progress(steps) if progress else nullcontext(lambda _: None) as advance:
         try:
-            controller.begin()
-            plant.begin(problem, initial)
-            problem.compile()
-            run.build_seconds = problem.build_seconds
-            _loop(run, controller, plant, steps, keeper, advance, on_step)
+            with interruptible():
+                controller.begin()
+                plant.begin(problem, initial)
+                problem.compile()
+                run.build_seconds = problem.build_seconds
+                _loop(run, controller, plant, steps, keeper, advance, on_step)
         except KeyboardInterrupt:
             run.interrupted = True
             run.status, run.termination = "stopped", f"interrupted after {len(run.steps)} steps"
@@ -132,15 +133,13 @@ def _loop(
     advance(begin)
     for time in range(begin, steps):
         began = clock.perf_counter()
-        with interruptible():
-            plan = controller.plan(time, state, outages.told(time, problem.step))
+        plan = controller.plan(time, state, outages.told(time, problem.step))
         run.plans.append(_record(plan, controller, clock.perf_counter() - began))
         if not plan.optimal:
             run.status, run.infeasible = plan.status, plan.infeasible
             run.termination = f"{problem.step_name(time)}: {plan.termination}"
             break
-        with interruptible():
-            step = plant.apply(plan)
+        step = plant.apply(plan)
         run.steps.append(_recorded(step, outages, problem, time))
         state = outages.resumed(problem, time, step.state)
         if keeper is not None:
