@@ -103,7 +103,7 @@ def simulate(
     run = Run(problem, metered, initial=initial, outages=outages)
     with _progress(steps) if progress else nullcontext(lambda _: None) as advance:
         try:
-            with interruptible():
+            with interruptible():  # what is lost between the blocks of a step is raised in the next one
                 controller.begin()
                 plant.begin(problem, initial)
                 problem.compile()
@@ -133,13 +133,15 @@ def _loop(
     advance(begin)
     for time in range(begin, steps):
         began = clock.perf_counter()
-        plan = controller.plan(time, state, outages.told(time, problem.step))
+        with interruptible():
+            plan = controller.plan(time, state, outages.told(time, problem.step))
         run.plans.append(_record(plan, controller, clock.perf_counter() - began))
         if not plan.optimal:
             run.status, run.infeasible = plan.status, plan.infeasible
             run.termination = f"{problem.step_name(time)}: {plan.termination}"
             break
-        step = plant.apply(plan)
+        with interruptible():
+            step = plant.apply(plan)
         run.steps.append(_recorded(step, outages, problem, time))
         state = outages.resumed(problem, time, step.state)
         if keeper is not None:
