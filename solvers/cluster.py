@@ -1,7 +1,7 @@
-"""A Dask cluster on this machine, for one study or one solve.
+"""Dask clusters for a study or a solve: a running one, or one on this machine.
 
-Connections require TLS keys that are generated for the cluster and exist only in the memory of its
-processes. It serves no web pages. Worker processes import this module.
+Connections within this machine require TLS keys that are generated for the cluster and exist only in
+the memory of its processes. It serves no web pages. Worker processes import this module.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
-from distributed import Nanny, Scheduler, Security, SpecCluster, Worker
+from dask.utils import parse_bytes
+from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 
 from solvers.errors import SolverError
 from solvers.threads import THREAD_VARIABLES
 
-__all__ = ["DEATHS", "local_cluster"]
+__all__ = ["DEATHS", "connected", "is_amount", "local_cluster"]
 
 DEATHS = 3  # of workers during one run, before the run is abandoned
+_PATIENCE = 30.0  # seconds to wait for a running scheduler, and for a first worker of it
+_LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone need more
 _SECONDS_TO_START = 300.0  # per worker; many start at once
 
 _CONFIGURATION = {
@@ -52,6 +55,42 @@ class _Worker(Worker):  # type: ignore[misc]
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Serve no web pages."""
+
+
+def is_amount(memory: object) -> bool:
+    """Whether a value is an amount of memory that a worker can do with, such as ``"2 GiB"``."""
+    try:
+        return isinstance(memory, str) and parse_bytes(memory) >= _LEAST_MEMORY
+    except ValueError:
+        return False
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Client]:
+    """Connect to a running scheduler that has workers.
+
+    Raises
+    ------
+    SolverError
+        It does not answer, or has no workers.
+    """
+    try:
+        client = Client(address, timeout=_PATIENCE)
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        RuntimeError,
+    ) as error:  # TypeError: TLS without keys; RuntimeError: TLS required, but not used
+        raise SolverError(f"no scheduler answers at {address!r}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError:
+            raise SolverError(
+                f"the scheduler at {address} has no workers; start some with 'dask worker {address}'"
+            ) from None
+        yield client
 
 
 @contextmanager

@@ -98,8 +98,9 @@ class Expanded:
     def _implied(self, instance: Instance) -> Iterator[Array]:
         """Magnitudes that the quantities of each composed placement have at most, ``(quantities, places)``.
 
-        They follow from upper bounds on sums of squares. Bounds keep the iterates from straying far, and
-        those of the solution: a little wider than implied, they are never active, and have no multipliers.
+        They follow from upper bounds on sums of squares. Bounds keep the iterates from straying far.
+        They are a little wider than implied, so that none binds, and their multipliers, which are neglected,
+        stay small.
         """
         for placement in self._composed:
             assert placement.parts is not None

@@ -1578,7 +1578,7 @@ def test_a_lost_scheduler_is_reported_and_finished_runs_are_kept(
 
 @pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("opfmodel.study.workers._PATIENCE", 1.0)
+    monkeypatch.setattr("solvers.cluster._PATIENCE", 1.0)
     for address, said in (
         ("tcp://127.0.0.1:9", "no scheduler answers at 'tcp://127.0.0.1:9'"),
         ("nonsense", "scheduler = 'nonsense': must be an address such as tcp://"),

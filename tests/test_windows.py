@@ -254,13 +254,13 @@ def test_options_are_checked() -> None:
 # Failure ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("at", "proven"), [(3, True), (50, False)])
-def test_a_window_without_solution_is_named(at: int, proven: bool) -> None:
+@pytest.mark.parametrize(("at", "overlap", "proven"), [(3, 4, True), (3, "auto", True), (50, 4, False)])
+def test_a_window_without_solution_is_named(at: int, overlap: int | str, proven: bool) -> None:
     series = demand()
     series["town.p"][at] = 500.0
     made = om.MultiStage(
         grid(), STAGES, formulation="dc", profiles=series, solver="windows:clarabel",
-        options={"window": 20, "overlap": 4},
+        options={"window": 20, "overlap": overlap},
     )  # fmt: skip
     solution = made.solve().solution
     assert solution.termination is TerminationCondition.INFEASIBLE
@@ -277,11 +277,15 @@ def test_a_problem_in_parts_is_allowed_more_stages() -> None:
 
 
 @pytest.mark.slow
-def test_workers_find_the_same_optimum() -> None:
-    plan = problem("dc", "windows", window=12, overlap=4, tolerance=1e-7, workers=2).solve()
+@pytest.mark.parametrize("tolerance", [1e-7, 1e-2])
+def test_workers_find_the_same_optimum(tolerance: float) -> None:
+    """Chains do not know where the one before them ends; at a loose tolerance a last pass closes the jumps."""
+    plan = problem("dc", "windows", window=12, overlap=4, tolerance=tolerance, workers=2).solve()
     session = plan.problem.session
     assert isinstance(session, WindowsSession)
     assert plan.optimal
-    assert session.trace[0].jump > 1e-6  # chains do not know where the one before them ends
     assert plan.solution.primal_residual < 1e-7
-    assert plan.objective == pytest.approx(whole("dc").objective, rel=1e-6)
+    assert session.trace[-1].jump < 1e-8
+    excess = plan.objective / whole("dc").objective - 1
+    assert -1e-7 <= excess <= session.trace[-1].gap + 1e-6
+    assert session.trace[-1].gap <= tolerance

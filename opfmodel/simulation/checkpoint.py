@@ -208,11 +208,11 @@ class Checkpoint:
             lock = self.locked()
             try:
                 self.clear()
+                with suppress(OSError):  # other files are not ours; the lock is while it is held
+                    (self.path / _LOCK).unlink(missing_ok=True)
+                    self.path.rmdir()
             finally:
                 lock.release()
-            with suppress(OSError):  # other files are not ours
-                (self.path / _LOCK).unlink(missing_ok=True)
-                self.path.rmdir()
 
     def _head(self) -> dict[str, Any]:
         head = unpacked(self.state, "a checkpoint")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from opfmodel.errors import ResultError, listed
-from opfmodel.results.store import check_writable, read_summary
+from opfmodel.results.store import read_summary
 from opfmodel.simulation.checkpoint import Checkpoint
 from opfmodel.simulation.inputs import changed
 
@@ -20,7 +20,7 @@ CHECKPOINT = "checkpoint"
 def prepare(
     folder: Path, inputs: Mapping[str, str], resume: bool = False, force: bool = False
 ) -> dict[str, Any] | None:
-    """Create the folder of a run, and see that the run may be written there.
+    """See that a run may be written to a folder.
 
     Parameters
     ----------
@@ -39,10 +39,9 @@ def prepare(
     Raises
     ------
     ResultError
-        The folder cannot be written, or holds what would be lost: results of other inputs, which the message
+        The folder holds what would be lost: results of other inputs, which the message
         names, or a run that can be continued.
     """
-    check_writable(folder)
     checkpoint = Checkpoint(folder / CHECKPOINT)
     if force:
         checkpoint.remove()
@@ -55,11 +54,10 @@ def prepare(
     known = held if summary is None else summary.get("inputs")
     if known is None and summary is None:
         return None
-    if (
-        differing := changed(known, inputs)
-        if isinstance(known, Mapping)
-        else ["inputs that are not recorded"]
-    ):
+    differing = ["inputs that are not recorded"]
+    if isinstance(known, Mapping):
+        differing = changed(known, inputs)
+    if differing:
         raise ResultError(
             f"{folder}: holds results of other inputs, which differ in {listed(differing)}; choose another "
             "folder with --out, or replace them with --force"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -80,16 +80,16 @@ class ManagedCluster:
         """
         self.check_installed()
         module, name, _ = _CLASSES[self.kind]
-        try:
-            cluster = getattr(_imported(module), name)(**self.options)
-            if self.workers is not None:
-                cluster.scale(self.workers)
-        except Exception as error:  # Dask's classes raise errors of several libraries
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise StudyError(
-                f"{self.path}: {self.kind}: the cluster could not be started: {reason}"
-            ) from error
-        with cluster:
+        with ExitStack() as stack:
+            try:
+                cluster = stack.enter_context(getattr(_imported(module), name)(**self.options))
+                if self.workers is not None:
+                    cluster.scale(self.workers)
+            except Exception as error:  # Dask's classes raise errors of several libraries
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise StudyError(
+                    f"{self.path}: {self.kind}: the cluster could not be started: {reason}"
+                ) from error
             yield cluster
 
 

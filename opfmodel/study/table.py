@@ -37,7 +37,7 @@ class Statistics:
     runs
         Number of runs that have the figure.
     mean, deviation
-        Mean, and standard deviation of the sample; None of a single run.
+        Mean, and standard deviation of the sample; None for a single run.
     q05, q50, q95
         Quantiles, interpolated linearly between the values of neighbouring runs.
     """

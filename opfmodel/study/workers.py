@@ -31,22 +31,16 @@ if TYPE_CHECKING:
 __all__ = ["check_crew", "in_this_process", "on_cluster", "on_local_cluster", "on_managed_cluster"]
 
 _ADDRESS = re.compile(r"(\w+://)?([^\s/:\[\]]+|\[[0-9a-fA-F:.%\w]+\]):[0-9]{1,5}(/\S*)?")
-_PATIENCE = 30.0  # seconds to wait for a scheduler, and for a first worker
 _SECONDS_IDLE = 120.0  # without an active run, after which workers are assumed to die as they start
 _GLANCE = 0.5  # seconds between polls of the workers
-_LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone need more
 
 
 def check_crew(scheduler: str | None, memory: str | None) -> None:
     """Raise :class:`StudyError` for invalid options of workers, even if no run is missing."""
     if memory is not None:
-        from dask.utils import parse_bytes
+        from solvers.cluster import is_amount
 
-        try:
-            enough = parse_bytes(memory) >= _LEAST_MEMORY
-        except ValueError:
-            enough = False
-        if not enough:
+        if not is_amount(memory):
             raise StudyError(f"memory = {memory!r}: must be an amount such as 2GiB or 600MB, at least 100MB")
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise StudyError(f"scheduler = {scheduler!r}: must be an address such as tcp://10.0.0.1:8786")
@@ -104,26 +98,13 @@ def on_cluster(
     StudyError
         The scheduler does not answer, has no workers, or disappears.
     """
-    from distributed import Client
+    from solvers.cluster import connected
 
-    with _quiet():
-        try:
-            client = Client(scheduler, timeout=_PATIENCE)
-        except (
-            OSError,
-            ValueError,
-            TypeError,
-            RuntimeError,
-        ) as error:  # TypeError: TLS without keys; RuntimeError: TLS required, but not used
-            raise StudyError(f"no scheduler answers at {scheduler!r}: {error}") from error
-        with client:
-            try:
-                client.wait_for_workers(1, timeout=_PATIENCE)
-            except TimeoutError:
-                raise StudyError(
-                    f"the scheduler at {scheduler} has no workers; start some with 'dask worker {scheduler}'"
-                ) from None
+    try:
+        with _quiet(), connected(scheduler) as client:
             yield from _runs(client, specifications, watcher)
+    except SolverError as error:
+        raise StudyError(str(error)) from error
 
 
 def on_managed_cluster(

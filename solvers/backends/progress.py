@@ -24,7 +24,7 @@ class Verdict:
 
     It does if it crawls, that is if between looks, twice in a row, the infeasibility falls by less than half
     while the residual of the dual grows; or if the infeasibility has no new minimum for long. Of 108 cases of
-    PGLib this is so of the three that take more than 250 iterations, and of none of the others.
+    PGLib this holds for the three that take more than 250 iterations, and for none of the others.
     """
 
     def __init__(self) -> None:

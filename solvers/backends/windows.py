@@ -81,12 +81,16 @@ class WindowsSession:
             self.trace = sweeps.trace
             while not sweeps.done(settings.tolerance) and len(self.trace) < settings.sweeps:
                 sweeps.sweep()
-                if self._verbose and sweeps.failed is None:
-                    sys.stdout.write(f"{self.trace[-1]}\n")
-        if sweeps.failed is None and self.trace[-1].jump > _JUMP:
-            behind = Partition(cut.staged, [cut.alone[len(cut.partition.chains[0]) :]])
-            sweeps.close(behind.windows, Sessions(behind.programs, self._solver, self._options))
+                self._say(sweeps)
+                if sweeps.done(settings.tolerance) and sweeps.failed is None and self.trace[-1].jump > _JUMP:
+                    behind = Partition(cut.staged, [cut.alone[len(cut.partition.chains[0]) :]])
+                    sweeps.close(behind.windows, Sessions(behind.programs, self._solver, self._options))
+                    self._say(sweeps)
         return self._solution(sweeps, len(cut.alone), instance)
+
+    def _say(self, sweeps: Sweeps) -> None:
+        if self._verbose and sweeps.failed is None:
+            sys.stdout.write(f"{self.trace[-1]}\n")
 
     def memory(self) -> dict[str, Any]:
         """Return the measured overlap and what the back end of the windows remembers."""
@@ -132,7 +136,10 @@ class WindowsSession:
         while reach < staged.stages:
             window = Window(staged, Span(0, 0, reach, reach))
             session = prepare(window.program([window]), self._solver, self._options)
-            best = best_overlap(influence(window, session, instance), length)
+            change = influence(window, session, instance)
+            if change is None:  # the sweeps will fail in the same place, and say so
+                return length
+            best = best_overlap(change, length)
             if best is not None:
                 return best
             reach *= 2
@@ -144,9 +151,7 @@ class WindowsSession:
         if failed is not None:
             window, found = failed
             termination, status, message = found.termination, found.status, found.message
-            if (
-                window.span.first
-            ):  # infeasible from where the window before it ends, perhaps not from elsewhere
+            if window.span.first:  # from where the window before it ends; perhaps not from elsewhere
                 status = SolutionStatus.NONE
             if windows > 1:
                 message = f"{message}, in stages {window.span.first} to {window.span.last - 1}"

@@ -73,7 +73,6 @@ class Found:
     status: SolutionStatus
     message: str
     iterations: int
-    seconds: float
     x: Array
     lam_x: Array
     lam_g: Array
@@ -128,10 +127,10 @@ class Chain:
             start = replace(last.start, moved=1)
         session, instance = self._sessions[piece.structure], piece.posed(given, end)
         solution = session.solve(instance, start)
-        iterations, seconds = solution.iterations or 0, solution.seconds
+        iterations = solution.iterations or 0
         if start is not None and not solution.status.is_optimal:
             solution = session.solve(instance)
-            iterations, seconds = iterations + (solution.iterations or 0), seconds + solution.seconds
+            iterations += solution.iterations or 0
         self._starts[number] = solution.start() if solution.status.is_optimal else None
         self._last = _Last(piece.structure, solution.start())
         variables, rows, cones = piece.own
@@ -140,7 +139,6 @@ class Chain:
             solution.status,
             solution.message,
             iterations,
-            seconds,
             solution.x[variables],
             solution.lam_x[variables],
             solution.lam_g[rows],

@@ -14,7 +14,6 @@ from solvers.windows.sweeps import Asked
 __all__ = ["Crew", "crew"]
 
 Crew = Callable[[Sequence[Asked]], list[list[Found]]]
-_PATIENCE = 30.0  # seconds to wait for a scheduler
 
 
 @contextmanager
@@ -25,7 +24,7 @@ def crew(chains: Sequence[Chain], settings: Settings) -> Iterator[Crew]:
         return
     with ExitStack() as stack:
         client = stack.enter_context(_client(len(chains), settings))
-        names = sorted(client.scheduler_info()["workers"])
+        names = sorted(client.nthreads())
         actors: list[Any] = [
             client.submit(_same, chain, actor=True, pure=False, workers=[names[number % len(names)]])
             for number, chain in enumerate(chains)
@@ -52,21 +51,13 @@ def _same(chain: Chain) -> Chain:
 @contextmanager
 def _client(workers: int, settings: Settings) -> Iterator[Any]:
     """Yield a client of the stated scheduler, or of a cluster of worker processes on this machine."""
-    from distributed import Client
+    from solvers.cluster import connected, local_cluster
 
-    if settings.scheduler is None:
-        from solvers.cluster import local_cluster
-
-        with local_cluster(workers, settings.memory) as cluster, Client(cluster) as client:
+    if settings.scheduler is not None:
+        with connected(settings.scheduler) as client:
             yield client
         return
-    try:
-        client = Client(settings.scheduler, timeout=_PATIENCE)
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise SolverError(f"windows: no scheduler answers at {settings.scheduler!r}: {error}") from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_PATIENCE)
-        except TimeoutError:
-            raise SolverError(f"windows: the scheduler at {settings.scheduler} has no workers") from None
+    from distributed import Client
+
+    with local_cluster(workers, settings.memory) as cluster, Client(cluster) as client:
         yield client

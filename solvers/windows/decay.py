@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from solvers.errors import SolverError
 from solvers.program import Array, Instance
-from solvers.solution import Solution
 from solvers.solve import Session
 from solvers.windows.piece import End, Piece
 from solvers.windows.seam import Seam
@@ -19,7 +17,7 @@ __all__ = ["best_overlap", "influence"]
 _SAMPLES = 24  # stages whose prices are averaged
 
 
-def influence(window: Window, session: Session, instance: Instance) -> Array:
+def influence(window: Window, session: Session, instance: Instance) -> Array | None:
     r"""Return what the price of the end changes at each distance from it.
 
     The window is solved with an end of no value and with an end of the mean price. The change of seam
@@ -29,24 +27,24 @@ def influence(window: Window, session: Session, instance: Instance) -> Array:
 
     Returns
     -------
-    ndarray
-        The largest :math:`d_k` at distance ``o`` or farther from the end, for ``o = 1, 2, ...``
-
-    Raises
-    ------
-    SolverError
-        The window has no solution with one of the two ends.
+    ndarray or None
+        The largest :math:`d_k` at distance ``o`` or farther from the end, for ``o = 1, 2, ...``; None if the
+        window has no solution with one of the two ends.
     """
     staged, last = window.staged, window.span.last
     piece = Piece.of(window, instance)
-    free = _solved(session, piece.posed(None, End.free(piece.behind)))
+    free = session.solve(piece.posed(None, End.free(piece.behind)))
+    if not free.status.is_optimal:
+        return None
     seams = [Seam.after(staged, stage, instance) for stage in range(last - 1)]
     local = [seam.inside(window) for seam in seams]
     chosen = np.unique(np.linspace(0, len(local) - 1, _SAMPLES).astype(int))
     prices = [local[at].price(free.x, free.lam_g) for at in chosen]
     prices = [price for price in prices if price.size == piece.behind]
     mean = np.mean(prices, axis=0) if prices else np.zeros(piece.behind)
-    priced = _solved(session, piece.posed(None, replace(End.free(mean.size), price=mean)))
+    priced = session.solve(piece.posed(None, replace(End.free(mean.size), price=mean)))
+    if not priced.status.is_optimal:
+        return None
     changes = np.zeros(len(seams))
     for stage, (seam, inside) in enumerate(zip(seams, local, strict=True)):
         at = window.position(seam.variables)
@@ -55,13 +53,6 @@ def influence(window: Window, session: Session, instance: Instance) -> Array:
         moved = np.abs(priced.x[at] - free.x[at])
         changes[stage] = (price @ moved) / max(float(price @ width), 1e-12)
     return np.maximum.accumulate(changes)[::-1]
-
-
-def _solved(session: Session, instance: Instance) -> Solution:
-    solution = session.solve(instance)
-    if not solution.status.is_optimal:
-        raise SolverError(f"windows: the first window has no solution: {solution.message}")
-    return solution
 
 
 def best_overlap(change: Array, length: int) -> int | None:

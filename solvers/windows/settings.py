@@ -10,8 +10,6 @@ from solvers.errors import SolverOptionError
 
 __all__ = ["Settings"]
 
-_LEAST_MEMORY = 100_000_000  # bytes of a worker; Python and the libraries alone need more
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -59,10 +57,13 @@ class Settings:
                 raise SolverOptionError(f"windows: {name} = {value!r}: must be a number {rule}")
         if not (self.scheduler is None or isinstance(self.scheduler, str)):
             raise SolverOptionError(f"windows: scheduler = {self.scheduler!r}: must be a text")
-        if not (self.memory is None or _is_amount(self.memory)):
-            raise SolverOptionError(
-                f"windows: memory = {self.memory!r}: must be an amount such as 2GiB, at least 100MB"
-            )
+        if self.memory is not None:
+            from solvers.cluster import is_amount
+
+            if not is_amount(self.memory):
+                raise SolverOptionError(
+                    f"windows: memory = {self.memory!r}: must be an amount such as 2GiB, at least 100MB"
+                )
 
     def _whole(self, name: str, more: str = "") -> None:
         value = getattr(self, name)
@@ -77,12 +78,3 @@ class Settings:
         names = {field.name for field in fields(cls)}
         own = {name: value for name, value in options.items() if name in names}
         return cls(**own), {name: value for name, value in options.items() if name not in names}
-
-
-def _is_amount(memory: object) -> bool:
-    from dask.utils import parse_bytes
-
-    try:
-        return isinstance(memory, str) and parse_bytes(memory) >= _LEAST_MEMORY
-    except ValueError:
-        return False

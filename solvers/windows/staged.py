@@ -102,13 +102,14 @@ class Staged:
             if placement.variables.size and (stage[placement.variables] == _UNKNOWN).any():
                 latest = np.broadcast_to(stage[placement.variables].max(axis=0), placement.variables.shape)
                 np.maximum.at(found, placement.variables.ravel(), latest.ravel())
-        latest = np.full(program.n_rows, _UNKNOWN, dtype=np.int32)
-        for placement in program.constraints if (stage == _UNKNOWN).any() else ():
-            if placement.variables.size:
+        if ((stage == _UNKNOWN) & (found == _UNKNOWN)).any():  # such as slacks, which are terms of their own
+            latest = np.full(program.n_rows, _UNKNOWN, dtype=np.int32)
+            terms = [placement for placement in program.constraints if placement.variables.size]
+            for placement in terms:
+                own = stage[placement.variables].max(axis=0)
                 for into in placement.into:
-                    np.maximum.at(latest, into[into >= 0], stage[placement.variables].max(axis=0)[into >= 0])
-        for placement in program.constraints if (stage == _UNKNOWN).any() else ():  # such as slacks of rows
-            if placement.variables.size and (stage[placement.variables] == _UNKNOWN).any():
+                    np.maximum.at(latest, into[into >= 0], own[into >= 0])
+            for placement in terms:
                 of = np.where(placement.into >= 0, latest[placement.into], _UNKNOWN).max(axis=0)
                 of = np.broadcast_to(of, placement.variables.shape)
                 np.maximum.at(found, placement.variables.ravel(), of.ravel())
@@ -137,15 +138,13 @@ class Staged:
             columns = own.max(axis=0)
             usual = np.arange(block.stages) if block.stages == self.stages else np.zeros(block.stages)
             columns = np.where(columns == _UNKNOWN, usual, columns)
-            far = earliest[block.slice].reshape(-1, block.stages, order="F") < columns - 1
-            if isinstance(block, Cone):
-                far |= earliest[block.slice].reshape(-1, block.stages, order="F") < columns
+            first = earliest[block.slice].reshape(-1, block.stages, order="F")
+            far = first < columns - (0 if isinstance(block, Cone) else 1)
             if free is not None:
                 far &= ~free[block.slice].reshape(-1, block.stages, order="F")
             if far.any():
                 column = int(np.argwhere(far.any(axis=0))[0][0])
-                first = int(earliest[block.slice].reshape(-1, block.stages, order="F")[:, column].min())
-                raise _far(self.program, block.name, first, int(columns[column]))
+                raise _far(self.program, block.name, int(first[:, column].min()), int(columns[column]))
             latest[block.slice] = np.broadcast_to(columns, own.shape).ravel(order="F")
         return latest
 

@@ -104,6 +104,7 @@ class Sweeps:
         self.trace: list[Sweep] = []
         self.iterations = 0
         self.failed: tuple[Window, Found] | None = None
+        self._found: list[Found] = []  # of the windows in the order of time
         staged = partition.staged
         inner = [window for window in partition.windows if window.span.end < staged.stages]
         self._ends = {
@@ -120,19 +121,8 @@ class Sweeps:
         if self.failed is not None:
             return
         self._known = True
-        flat = [result for results in found for result in results]
-        gap, jump = self._measured(flat)
-        objective = self._evaluator.objective(self.x, self._instance.parameters)
-        self.trace.append(
-            Sweep(
-                len(self.trace) + 1,
-                objective,
-                gap / max(abs(objective), 1e-9),
-                jump,
-                sum(result.iterations for result in flat),
-                self.seconds,
-            )
-        )
+        self._found = [result for results in found for result in results]
+        self.trace.append(self._measured(len(self.trace) + 1))
 
     def done(self, tolerance: float) -> bool:
         """Whether a window has failed, or the gap is within a tolerance."""
@@ -146,6 +136,8 @@ class Sweeps:
     def close(self, windows: Sequence[Window], sessions: Sessions) -> None:
         """Remove primal jumps: solve windows again that begin where the one before them ends.
 
+        The gap of the last sweep is measured again.
+
         Parameters
         ----------
         windows
@@ -153,8 +145,8 @@ class Sweeps:
             it handed on before, those that follow stay as they are, to the beginning of the next chain.
         """
         led = {chain[0].span.begin for chain in self._partition.chains}
-        came = True
-        for window in windows:
+        came, first = True, len(self._found) - len(windows)
+        for number, window in enumerate(windows, first):
             came = came or window.span.begin in led
             if not came:
                 continue
@@ -164,10 +156,12 @@ class Sweeps:
             before = None if handed is None else self.x[handed.variables]
             result = chain.solve(0, self.x[window.before], self._end(window))
             self._take(window, result)
-            if handed is not None and before is not None:
-                came = bool((np.abs(self.x[handed.variables] - before) > _SAME).any())
+            self._found[number] = result
             if self.failed is not None:
                 return
+            if handed is not None and before is not None:
+                came = bool((np.abs(self.x[handed.variables] - before) > _SAME).any())
+        self.trace[-1] = self._measured(len(self.trace))
 
     def _take(self, window: Window, result: Found) -> None:
         """Put what a window found into the solution."""
@@ -200,11 +194,10 @@ class Sweeps:
         above = np.where(np.isinf(upper), far, upper - x)
         return np.maximum(below, 0.0), np.maximum(above, 0.0)
 
-    def _measured(self, found: Sequence[Found]) -> tuple[float, float]:
-        """Return the sum that bounds the distance from the optimum, in units of the objective, and jumps."""
+    def _measured(self, number: int) -> Sweep:
+        """Return what a sweep achieved, from what all windows found."""
         total, largest = 0.0, 0.0
-        windows = self._partition.windows
-        for window, result in zip(windows, found, strict=True):
+        for window, result in zip(self._partition.windows, self._found, strict=True):
             joint = self._joints.get(window.span.end)
             if joint is not None and joint.variables.size:
                 slope = joint.price(self.x, self.lam_g) - result.price
@@ -215,4 +208,7 @@ class Sweeps:
                 jump = np.abs(self.x[before.variables] - result.joint)
                 total += float(jump @ np.abs(before.price(self.x, self.lam_g)))
                 largest = max(largest, float(jump.max()))
-        return total, largest
+        objective = self._evaluator.objective(self.x, self._instance.parameters)
+        gap = total / max(abs(objective), 1e-9)
+        iterations = sum(result.iterations for result in self._found)
+        return Sweep(number, objective, gap, largest, iterations, self.seconds)
