@@ -32,6 +32,8 @@ _LEAST_MEMORY = 100_000_000  # bytes; Python and the libraries alone need more
 _SECONDS_TO_START = 300.0  # per worker; many start at once
 
 _CONFIGURATION = {
+    # nannies restart their workers; Dask would close a nanny whose worker is away 15 s after any death
+    "distributed.deploy.lost-worker-timeout": "365 days",
     "distributed.scheduler.allowed-failures": DEATHS - 1,
     "distributed.scheduler.worker-ttl": None,  # a long solve is not a dead worker; a closed connection is
     # workers hold no data that could be spilled, and a paused worker would never resume

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 from conftest import SCENARIOS, Call
+from distributed import Client
 from filelock import FileLock
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -48,6 +49,7 @@ from opfmodel.study import (
 )
 from opfmodel.study.sealed import sealed, unsealed
 from opfmodel.study.specification import Snapshot
+from solvers.cluster import local_cluster
 
 CASE5 = SCENARIOS / "case5-step.yaml"
 
@@ -1651,10 +1653,22 @@ def test_workers_that_run_out_of_memory_fail_only_their_run(folder: Path) -> Non
     )
     run = ("run", folder / "study.yaml", "--out", folder / "out", "--workers", 1, "--memory", "600MB")
     code, out, err = finish(*run)
-    assert code == 1
+    assert code == 1, err
     assert re.search(r"failed: controller.horizon=60000: 3 workers died .* memory", err)
     assert [row["status"] for row in read_table(folder / "out")] == ["done", "error", "done", "done"]
     assert "4: 3 done, 1 failed" in out
+
+
+@pytest.mark.slow
+def test_workers_that_die_again_and_again_are_replaced() -> None:
+    """Dask looks for a worker 15 s after its death; at that time its second successor is starting."""
+    with local_cluster(1, None) as cluster, Client(cluster) as client:
+        for seconds in (0, 14.7):
+            time.sleep(seconds)
+            (process,) = client.run(os.getpid).values()
+            os.kill(process, signal.SIGKILL)
+        time.sleep(5)
+        assert client.submit(os.getpid).result(timeout=60) != process
 
 
 def test_a_misspelt_vary_is_reported_as_a_key_of_a_study(folder: Path, call: Call) -> None:
