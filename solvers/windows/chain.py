@@ -131,7 +131,8 @@ class Chain:
         if start is not None and not solution.status.is_optimal:
             solution = session.solve(instance)
             iterations += solution.iterations or 0
-        self._starts[number] = solution.start() if solution.status.is_optimal else None
+        # in the next sweep the window has another end and beginning, as if it had moved
+        self._starts[number] = replace(solution.start(), moved=1) if solution.status.is_optimal else None
         self._last = _Last(piece.structure, solution.start())
         variables, rows, cones = piece.own
         return Found(

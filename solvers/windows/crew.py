@@ -25,27 +25,36 @@ def crew(chains: Sequence[Chain], settings: Settings) -> Iterator[Crew]:
     with ExitStack() as stack:
         client = stack.enter_context(_client(len(chains), settings))
         names = sorted(client.nthreads())
-        actors: list[Any] = [
-            client.submit(_same, chain, actor=True, pure=False, workers=[names[number % len(names)]])
-            for number, chain in enumerate(chains)
+        submitted = [
+            client.submit(_Seat, actor=True, pure=False, workers=[names[number % len(names)]])
+            for number in range(len(chains))
         ]
-        actors = [actor.result() for actor in actors]
-
-        def sweep(asked: Sequence[Asked]) -> list[list[Found]]:
-            futures = [actor.sweep(*ask) for actor, ask in zip(actors, asked, strict=True)]
-            try:
-                return [future.result() for future in futures]
-            except (RuntimeError, OSError) as error:
-                raise SolverError(
-                    "windows: lost a worker, most likely for lack of memory; state a larger memory or fewer "
-                    f"workers ({error})"
-                ) from error
-
-        yield sweep
+        seats: list[Any] = [future.result() for future in submitted]
+        for seat, chain in zip(seats, chains, strict=True):
+            _results([seat.take(chain)])  # one after another: each is a large message
+        yield lambda asked: _results([seat.sweep(*ask) for seat, ask in zip(seats, asked, strict=True)])
 
 
-def _same(chain: Chain) -> Chain:
-    return chain
+def _results(futures: Sequence[Any]) -> list[Any]:
+    try:
+        return [future.result() for future in futures]
+    except (RuntimeError, OSError) as error:
+        raise SolverError(
+            "windows: lost a worker, most likely for lack of memory; state a larger memory or fewer "
+            f"workers ({error})"
+        ) from error
+
+
+class _Seat:
+    """A place on a worker for one chain; the scheduler would keep an argument of a task."""
+
+    _chain: Chain
+
+    def take(self, chain: Chain) -> None:
+        self._chain = chain
+
+    def sweep(self, *ask: Any) -> list[Found]:
+        return self._chain.sweep(*ask)
 
 
 @contextmanager
