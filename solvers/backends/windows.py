@@ -75,7 +75,7 @@ class WindowsSession:
     def solve(self, instance: Instance, start: Start | None = None) -> Solution:
         """Solve an instance by sweeps over the windows."""
         settings, cut = self._settings, self._cut_for(instance)
-        made = [Chain(cut.sessions, *_pieces(chain, instance, start)) for chain in cut.partition.chains]
+        made = [Chain(cut.sessions, _pieces(chain, instance)) for chain in cut.partition.chains]
         with crew(made, settings) as solve:
             sweeps = Sweeps(cut.partition, instance, solve, self._evaluator, settings.proximal, start)
             self.trace = sweeps.trace
@@ -199,13 +199,10 @@ class _Cut(NamedTuple):
     sessions: Sessions
 
 
-def _pieces(
-    chain: list[Window], instance: Instance, start: Start | None
-) -> tuple[list[Piece], list[Start | None]]:
-    """Return the windows of a chain, and their parts of a start."""
+def _pieces(chain: list[Window], instance: Instance) -> list[Piece]:
+    """Return the windows of a chain."""
     before = [None, *chain]
-    pieces = [Piece.of(window, instance, last) for last, window in zip(before, chain, strict=False)]
-    return pieces, [None if start is None else window.start(start) for window in chain]
+    return [Piece.of(window, instance, last) for last, window in zip(before, chain, strict=False)]
 
 
 def _split(windows: int, workers: int) -> list[list[int]]:

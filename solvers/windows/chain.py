@@ -82,23 +82,16 @@ class Found:
 
 
 class Chain:
-    """Windows in their order; an actor of a worker.
+    """Windows in their order."""
 
-    Parameters
-    ----------
-    starts
-        Starting point of each window, where one is known.
-    """
-
-    def __init__(
-        self, sessions: Sessions, pieces: Sequence[Piece], starts: Sequence[Start | None] | None = None
-    ) -> None:
+    def __init__(self, sessions: Sessions, pieces: Sequence[Piece]) -> None:
         self._sessions = sessions
         self._pieces = pieces
-        self._starts = list(starts or [None] * len(pieces))
         self._last: _Last | None = None
 
-    def sweep(self, given: Array | None, ends: Sequence[End | None]) -> list[Found]:
+    def sweep(
+        self, given: Array | None, ends: Sequence[End | None], starts: Sequence[Start | None]
+    ) -> list[Found]:
         """Solve the windows; stop at one that fails.
 
         Parameters
@@ -108,21 +101,23 @@ class Chain:
         ends
             Of each window; None if it is not known, at the first sweep: the price of the end is then that
             which the window before it found at the end of its own stages.
+        starts
+            Point of each to start from; None if it is not known: that of the window solved last, moved in
+            time.
         """
         found: list[Found] = []
-        for number, (piece, end) in enumerate(zip(self._pieces, ends, strict=True)):
+        for number, (piece, end, start) in enumerate(zip(self._pieces, ends, starts, strict=True)):
             if number and piece.link is not None and self._last is not None:
                 given = self._last.start.x[piece.link]
             known = found[-1].price if found else None
-            found.append(self.solve(number, given, end or _as_before(piece, known)))
+            found.append(self.solve(number, given, end or _as_before(piece, known), start))
             if not found[-1].status.is_optimal:
                 break
         return found
 
-    def solve(self, number: int, given: Array | None, end: End) -> Found:
-        """Solve one window, from where it stood in the last sweep, else from the window solved last."""
+    def solve(self, number: int, given: Array | None, end: End, start: Start | None) -> Found:
+        """Solve one window from a starting point, else from the window solved last."""
         piece, last = self._pieces[number], self._last
-        start = self._starts[number]
         if start is None and last is not None and last.structure == piece.structure:
             start = replace(last.start, moved=1)
         session, instance = self._sessions[piece.structure], piece.posed(given, end)
@@ -131,8 +126,6 @@ class Chain:
         if start is not None and not solution.status.is_optimal:
             solution = session.solve(instance)
             iterations += solution.iterations or 0
-        # in the next sweep the window has another end and beginning, as if it had moved
-        self._starts[number] = replace(solution.start(), moved=1) if solution.status.is_optimal else None
         self._last = _Last(piece.structure, solution.start())
         variables, rows, cones = piece.own
         return Found(

@@ -19,7 +19,8 @@ from solvers.windows.window import Window
 
 __all__ = ["Asked", "Sweep", "Sweeps"]
 
-Asked = tuple[Array | None, list[End | None]]  # what is given before a chain, and the ends of its windows
+# What is given before a chain, and the ends and starting points of its windows.
+Asked = tuple[Array | None, list[End | None], list[Start | None]]
 
 _SAME = 1e-9  # p.u.: change of what a window hands on that is none
 _FAR = 1.0  # p.u.: range of a variable without bounds, beside its magnitude
@@ -95,7 +96,7 @@ class Sweeps:
         self._began = time.perf_counter()
         program = partition.staged.program
         self.x = (instance.start if start is None else start.x).copy()
-        self._known = start is not None and start.lam_g is not None
+        self._start = start
         sizes = (program.n_variables, program.n_rows, program.n_cone_values)
         known = (None,) * 3 if start is None else (start.lam_x, start.lam_g, start.z)
         self.lam_x, self.lam_g, self.z = (
@@ -120,7 +121,7 @@ class Sweeps:
                 self._take(window, result)
         if self.failed is not None:
             return
-        self._known = True
+        self._start = self._point()
         self._found = [result for results in found for result in results]
         self.trace.append(self._measured(len(self.trace) + 1))
 
@@ -151,10 +152,10 @@ class Sweeps:
             if not came:
                 continue
             handed = self._joints.get(window.span.end)
-            point = window.start(Start(self.x, self.lam_x, self.lam_g, self.z))
-            chain = Chain(sessions, [Piece.of(window, self._instance)], [point])
+            chain = Chain(sessions, [Piece.of(window, self._instance)])
             before = None if handed is None else self.x[handed.variables]
-            result = chain.solve(0, self.x[window.before], self._end(window))
+            start = window.start(self._point())
+            result = chain.solve(0, self.x[window.before], self._end(window), start)
             self._take(window, result)
             self._found[number] = result
             if self.failed is not None:
@@ -173,9 +174,15 @@ class Sweeps:
             self.failed = self.failed or (window, result)
 
     def _asked(self, chain: Sequence[Window]) -> Asked:
-        if not self._known:
-            return None, [None] * len(chain)
-        return self.x[chain[0].before], [self._end(window) for window in chain]
+        starts = [None if self._start is None else window.start(self._start) for window in chain]
+        if self._start is None or self._start.lam_g is None:
+            return None, [None] * len(chain), starts
+        return self.x[chain[0].before], [self._end(window) for window in chain], starts
+
+    def _point(self) -> Start:
+        """Return the solution as a start: in its overlap a window starts where those behind it stand."""
+        # the ends of windows have changed; a point that is trusted more takes two to three times as long
+        return Start(self.x, self.lam_x, self.lam_g, self.z, moved=1)
 
     def _end(self, window: Window) -> End:
         """Return what the end of a window is worth by the last sweep."""
