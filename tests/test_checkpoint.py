@@ -591,8 +591,10 @@ def take_terminal() -> None:
 
 def started(arguments: list[str], terminal: int | None = None) -> subprocess.Popen[str]:
     """Start a command, in a session of its own with a terminal if one is given."""
+    # nohup, under which tests may run, has its children ignore SIGHUP
+    code = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); from opfmodel import cli; cli.main()"
     return subprocess.Popen(
-        [sys.executable, "-c", "from opfmodel import cli; cli.main()", *arguments],
+        [sys.executable, "-c", code, *arguments],
         stdin=terminal,
         stdout=subprocess.PIPE if terminal is None else terminal,
         stderr=subprocess.PIPE if terminal is None else terminal,
