@@ -273,7 +273,7 @@ def test_there_is_no_value_without_an_optimum(formulation: str, options: dict) -
     assert not plan.optimal
     assert np.isnan(plan.objective)
     assert plan.shortages == ()
-    known = {"pd", "qd", *(name for name in plan.data if name.endswith(("_min", "_max")))}
+    known = {"pd", "qd", "rating", *(name for name in plan.data if name.endswith(("_min", "_max")))}
     for name, values in plan.data.drop_vars("pg_ramp").items():
         assert np.isfinite(values).all() if name in known else np.isnan(values).all(), name
     assert np.isnan(plan.data.attrs["cost"])

@@ -152,11 +152,16 @@ def inspect(network: Network, profiles: Mapping[Any, npt.ArrayLike] | None = Non
 
 
 def topology(network: Network) -> Any:
-    """Buses and branches in service as a NetworkX multigraph; the keys of its edges are branch names."""
+    """Buses and branches in service as a NetworkX multigraph; the keys of its edges are branch names.
+
+    Nodes have the places ``x`` and ``y`` of their buses, None if unknown.
+    """
     import networkx as nx
 
     graph = nx.MultiGraph()
-    graph.add_nodes_from(name for name, bus in network.of(Bus).items() if bus.in_service)
+    graph.add_nodes_from(
+        (name, {"x": bus.x, "y": bus.y}) for name, bus in network.of(Bus).items() if bus.in_service
+    )
     for name, branch in network.of(Branch).items():
         if branch.in_service and branch.from_bus in graph and branch.to_bus in graph:
             graph.add_edge(branch.from_bus, branch.to_bus, key=name)

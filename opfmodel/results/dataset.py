@@ -22,6 +22,8 @@ __all__ = ["DEMAND", "dataset", "labelled"]
 
 Array = npt.NDArray[np.float64]
 
+_ENDS = ("bus", "from_bus", "to_bus")  # fields that hold a bus
+
 DEMAND = {"pd": ("p", "MW", "active"), "qd": ("q", "MVAr", "reactive")}
 """What every dataset has beside the quantities: field of the loads, unit and sort by name."""
 
@@ -51,21 +53,31 @@ def labelled(
     Returns
     -------
     Labelled
-        Dimensions ``time`` and one per kind of component. Includes the demand ``pd``, ``qd`` of each bus,
+        Dimensions ``time`` and one per kind of component, whose buses and, if known, places are coordinates.
+        Includes the demand ``pd``, ``qd`` of each bus,
         and the limits of the quantities, as ``vm_min``, ``vm_max`` and ``pg_ramp``, over ``time`` only where
         they vary.
     """
     dimension, moments, about = times.coordinate()
     made = Labelled({"time": Variable((dimension,), moments, about)})
     made.coords["bus"] = Variable(("bus",), np.array(list(network.bus.names)), {})
+    for axis in "xy":
+        place = network.bus.arrays[axis][:, 0]
+        if np.isfinite(place).any():
+            about = {"long_name": f"place of the bus, {axis}"}
+            made.coords[f"bus_{axis}"] = Variable(
+                ("bus",), np.where(np.isfinite(place), place, np.nan), about
+            )
     for kind, _, _, values in quantities.values():
         if kind and kind not in made.coords:
             table = network.tables.get(kind)
             names = np.arange(len(values)) if table is None else np.array(list(table.names))
             made.coords[kind] = Variable((kind,), names, {})
-            if table is not None and "bus" in table.arrays:
-                at = np.array([network.bus.names[b] for b in table.bus])
-                made.coords[f"{kind}_bus"] = Variable((kind,), at, {"long_name": f"bus of the {kind}"})
+            for end in _ENDS:
+                if table is not None and end in table.arrays:
+                    at = np.array([network.bus.names[b] for b in table.arrays[end]])
+                    about = {"long_name": f"{end.replace('_', ' ')} of the {kind}"}
+                    made.coords[f"{kind}_{end}"] = Variable((kind,), at, about)
     demand = {
         name: ("bus", unit, f"{sort} demand", _demand(network, field, len(times.steps)))
         for name, (field, unit, sort) in DEMAND.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from opfmodel.network.arrays import PerUnitNetwork, Table
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LIMITS", "RAMPS", "binding", "limits"]
+__all__ = ["LIMITS", "RAMPS", "RATINGS", "binding", "limits", "sides"]
 
 Array = npt.NDArray[np.float64]
 
@@ -89,6 +89,9 @@ LIMITS = {
 RAMPS = {"pg": ("generator", "MW/h", "active generation")}
 """Quantities whose ramp limits a dataset has as ``<quantity>_ramp``."""
 
+RATINGS = {"pf": ("branch", "rating", "MVA", "rating, of apparent power at either end")}
+"""Quantities with a limit of another name: kind, name, unit and description."""
+
 
 def limits(network: PerUnitNetwork, quantities: Iterable[str]) -> Iterator[tuple[str, str, str, str, Array]]:
     """Yield name, kind, unit, description and per-unit values of the limits of some quantities.
@@ -117,6 +120,9 @@ def limits(network: PerUnitNetwork, quantities: Iterable[str]) -> Iterator[tuple
     for quantity, (kind, unit, description) in RAMPS.items():
         if quantity in present:
             yield f"{quantity}_ramp", kind, unit, f"ramp limit of {description}", network.tables[kind].ramp
+    for quantity, (kind, name, unit, description) in RATINGS.items():
+        if quantity in present:
+            yield name, kind, unit, description, network.tables[kind].arrays[name]
 
 
 def binding(data: xr.Dataset) -> xr.Dataset:
@@ -134,23 +140,29 @@ def binding(data: xr.Dataset) -> xr.Dataset:
         A quantity whose limits are not in the data is absent.
     """
     made = data[[]]
+    for quantity, side in sides(data).items():
+        name = "e_next" if quantity == "e" else quantity.removesuffix("_ramp")
+        made[quantity] = data[name].drop_attrs().copy(data=side)
+    return made
+
+
+def sides(data: Any) -> dict[str, npt.NDArray[np.int8]]:
+    """Return the values of :func:`binding` by quantity, of a dataset or of :class:`Labelled`."""
+    made = {}
     for quantity, limit in LIMITS.items():
         names = ("e_next" if quantity == "e" else quantity, f"{quantity}_min", f"{quantity}_max")
-        if set(names) <= set(data):
+        if all(name in data for name in names):
             values, low, high = (data[name].values for name in names)
-            there = _in_service(data, limit.kind)
-            made[quantity] = data[names[0]].drop_attrs().copy(data=_side(values, low, high, there))
+            made[quantity] = _side(values, low, high, _in_service(data, limit.kind))
     for quantity, (kind, _, _) in RAMPS.items():
-        if {quantity, f"{quantity}_ramp"} <= set(data):
+        if quantity in data and f"{quantity}_ramp" in data:
             before, hours = _before(data)
             change = data[quantity].values - data[quantity].values[before]
             most = data[f"{quantity}_ramp"].values * hours[:, None]
             there = _in_service(data, kind)
             # the stage before the first is unknown; a unit that trips or returns does not ramp
             there = there & there[before] & (before != np.arange(before.size))[:, None]
-            made[f"{quantity}_ramp"] = (
-                data[quantity].drop_attrs().copy(data=_side(change, -most, most, there))
-            )
+            made[f"{quantity}_ramp"] = _side(change, -most, most, there)
     return made
 
 
@@ -164,18 +176,18 @@ def _side(values: Array, low: Array, high: Array, free: npt.NDArray[np.bool_]) -
         return ((values >= high - near) & there).astype(np.int8) - ((values <= low + near) & there)
 
 
-def _in_service(data: xr.Dataset, kind: str) -> npt.NDArray[np.bool_]:
+def _in_service(data: Any, kind: str) -> npt.NDArray[np.bool_]:
     """Return which components of a kind are in service, ``(stages, items)``."""
     if f"{kind}_status" in data:
         return np.asarray(data[f"{kind}_status"].values > 0)
-    return np.ones((data.sizes["node" if "node" in data.dims else "time"], 1), dtype=bool)
+    return np.ones((data["time"].values.size, 1), dtype=bool)
 
 
-def _before(data: xr.Dataset) -> tuple[npt.NDArray[np.intp], Array]:
+def _before(data: Any) -> tuple[npt.NDArray[np.intp], Array]:
     """Return the stage before each, or itself without one, and the hours between their middles."""
-    stages = data.sizes["node" if "node" in data.dims else "time"]
-    before = data["parent"].values if "parent" in data.coords else np.arange(stages) - 1
+    stages = data["time"].values.size
+    before = data["parent"].values if "parent" in data else np.arange(stages) - 1
     before = np.where(before < 0, np.arange(stages), before)
     step = float(data.attrs.get("step_hours", 1.0))
-    hours = data["hours"].values if "hours" in data.coords else np.full(stages, step)
+    hours = data["hours"].values if "hours" in data else np.full(stages, step)
     return before, 0.5 * (hours + hours[before])

@@ -12,7 +12,7 @@ import numpy as np
 from opfmodel.data.calendar import zone_of
 from opfmodel.errors import ProfileError, ResultError, shown
 from opfmodel.network.components import BUILT_IN
-from opfmodel.results.limits import LIMITS, RAMPS
+from opfmodel.results.limits import LIMITS, RAMPS, RATINGS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,13 +36,16 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "generator_bus": ("generator",),
     "storage_bus": ("storage",),
     "renewable_bus": ("renewable",),
+    **dict.fromkeys(("bus_x", "bus_y"), ("bus",)),
+    **dict.fromkeys(("branch_from_bus", "branch_to_bus"), ("branch",)),
 }
 # Kind of the limits, which vary over time or are constant.
 _LIMITS = {
     **{f"{name}_{end}": limit.kind for name, limit in LIMITS.items() for end in ("min", "max")},
     **{f"{name}_ramp": kind for name, (kind, _, _) in RAMPS.items()},
+    **{name: kind for kind, name, _, _ in RATINGS.values()},
 }
-_MEMBERSHIPS = ("generator_bus", "storage_bus", "renewable_bus")
+_MEMBERSHIPS = ("generator_bus", "storage_bus", "renewable_bus", "branch_from_bus", "branch_to_bus")
 # What a quantity is shown with.
 _TOGETHER = {
     "pf": "pt",

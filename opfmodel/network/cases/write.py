@@ -57,6 +57,8 @@ def write_network(network: Network, path: str | Path, *, lossy: bool = True) -> 
     losses.settle(lossy)
     if not plain:
         warn(f"{path}: buses are numbered from 1 in order of declaration")
+    if any(bus.x is not None for bus in network.of(Bus).values()):
+        warn(f"{path}: the places of buses on the map are left out")
     tables = tables_of(network, ids)
     module = powerio.PioModule.from_value(powerio.from_ppc(tables))
     emitted = powerio.emit(module, "matpower")

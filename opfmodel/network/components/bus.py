@@ -32,4 +32,8 @@ class Bus(Component):
     va_set: float = number(
         "deg", 0.0, series=False, description="Angle of the reference bus in a power flow."
     )
+    x: float | None = number(
+        "", None, optional=True, series=False, description="Place on a map or a diagram, to the right."
+    )
+    y: float | None = number("", None, optional=True, series=False, description="Place, upwards.")
     in_service: bool = in_service()

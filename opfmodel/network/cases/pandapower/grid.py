@@ -7,6 +7,7 @@ with taps, as ``runpp`` does. What injects is read from the tables by
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Iterator, Mapping
@@ -72,8 +73,12 @@ class Grid:
         lookup = net._pd2ppc_lookups["bus"]
         self.row = {int(index): int(lookup[index]) for index in net.bus.index}
         self.names: dict[int, str] = {}
-        for index, row in self.row.items():
-            self.names.setdefault(row, source.name("bus", index))
+        self._places: dict[int, tuple[float, float]] = {}
+        for bus in source.rows("bus"):
+            row = self.row[bus.index]
+            self.names.setdefault(row, bus.name)
+            if found := _place(bus.text("geo")):
+                self._places.setdefault(row, found)
 
     def at(self, item: Row, column: str = "bus") -> str:
         """Name of the bus that stands for the bus of an element, or for another one that it names."""
@@ -118,9 +123,12 @@ class Grid:
     def _declare_bus(
         self, network: Network, name: str, row: int, vm: tuple[float, float], reference: Row | None = None
     ) -> None:
+        x, y = self._places.get(row, (None, None))
         bus = Bus(
             vm=vm,
             base_kv=self.base_kv(row) or None,
+            x=x,
+            y=y,
             reference=reference is not None,
             va_set=0.0 if reference is None else reference.number("va_degree", 0.0),
             in_service=self.alive(row),
@@ -288,6 +296,16 @@ class Grid:
                 "a branch has one series impedance, their mean"
             )
         return r + more_r / 2, x + more_x / 2
+
+
+def _place(text: str) -> tuple[float, float] | None:
+    """Return the coordinates of a point in GeoJSON; None if it is no such point."""
+    try:
+        x, y = json.loads(text)["coordinates"][:2]
+        found = float(x), float(y)
+    except (ValueError, LookupError, TypeError):
+        return None
+    return found if all(map(math.isfinite, found)) else None
 
 
 def _convert(source: Source) -> Mapping[str, Any]:

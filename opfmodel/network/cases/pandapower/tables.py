@@ -121,7 +121,7 @@ _TEMPERATURE = (
 )
 
 IGNORED: Mapping[str, frozenset[str]] = {
-    "bus": _columns("type zone geo"),
+    "bus": _columns("type zone"),
     "load": _columns("sn_mva type zone"),
     "sgen": _columns("sn_mva type current_source k generator_type max_ik_ka kappa rx lrc_pu"),
     "gen": _columns("sn_mva type slack_weight vn_kv xdss_pu rdss_ohm cos_phi power_station_trafo pg_percent"),

@@ -7,6 +7,7 @@ compared with the network, quantity by quantity; whatever differs is a loss.
 from __future__ import annotations
 
 import importlib.util
+import json
 import warnings
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -126,9 +127,20 @@ def _converted(network: Network, path: Path) -> Any:
         unlimited = net[table][rating] >= _NO_RATING
         net[table]["max_loading_percent"] = np.where(unlimited, np.nan, 100.0)
     net.bus["name"] = names
+    _add_places(net, network)
     net.name = network.name
     _add_loads_and_shunts(net, network)
     return net
+
+
+def _add_places(net: Any, network: Network) -> None:
+    """Write the places of buses as points in GeoJSON, as pandapower does."""
+    points = [
+        None if b.x is None or b.y is None else json.dumps({"type": "Point", "coordinates": [b.x, b.y]})
+        for b in network.of(Bus).values()
+    ]
+    if any(points):
+        net.bus["geo"] = points
 
 
 def _add_loads_and_shunts(net: Any, network: Network) -> None:

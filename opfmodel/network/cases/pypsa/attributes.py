@@ -69,9 +69,9 @@ class Attributes:
 
 CLASSES: Mapping[str, Attributes] = {
     "buses": Attributes(
-        used=_of("name v_nom v_mag_pu_min v_mag_pu_max carrier"),
+        used=_of("name v_nom v_mag_pu_min v_mag_pu_max carrier x y"),
         constant=_of("v_mag_pu_set"),
-        unused=_of("type x y unit location"),
+        unused=_of("type unit location"),
     ),
     "lines": Attributes(
         used=_of("name bus0 bus1 type x r g b s_nom s_max_pu num_parallel length v_ang_min v_ang_max active"),

@@ -51,6 +51,8 @@ class Converter:
         source = self.source
         grid = self._grid()
         references = set(grid.c.sub_networks.static.slack_bus)
+        places = source.static("buses")[["x", "y"]].to_numpy(dtype=float)
+        self._placed = bool(np.isfinite(places).all() and places.any())  # by default all are at the origin
         for bus in source.buses:
             self._bus(bus, bus in references)
         for class_name in ("lines", "transformers"):
@@ -107,7 +109,8 @@ class Converter:
         low, high = float(row.v_mag_pu_min), float(row.v_mag_pu_max)
         low = low if low > 0.0 else min(self.voltage[0], high)
         high = high if high < math.inf else max(self.voltage[1], low)
-        self._add("buses", bus, Bus(vm=(low, high), base_kv=float(row.v_nom), reference=reference))
+        x, y = (float(row.x), float(row.y)) if self._placed else (None, None)
+        self._add("buses", bus, Bus(vm=(low, high), base_kv=float(row.v_nom), reference=reference, x=x, y=y))
 
     def _branch(self, class_name: str, member: Any, row: Any) -> None:
         name = self.source.names[class_name, member]
