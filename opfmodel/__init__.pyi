@@ -81,6 +81,10 @@ from .plan.single_stage import (
     SingleStageSequence as SingleStageSequence,
     single_stage_sequence as single_stage_sequence,
 )
+from .results.presented import (
+    SavedRun as SavedRun,
+    load_run as load_run,
+)
 from .scenario import (
     Scenario as Scenario,
     load_scenario as load_scenario,
@@ -96,5 +100,6 @@ from .simulation import (
     Run as Run,
     simulate as simulate,
 )
+from .study.report import report as report
 
 __version__: str

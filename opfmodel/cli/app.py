@@ -11,7 +11,19 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from opfmodel.cli import analyze, convert, inspect, look, powerflow, run, schema, security, solve, study
+from opfmodel.cli import (
+    analyze,
+    convert,
+    inspect,
+    look,
+    powerflow,
+    report,
+    run,
+    schema,
+    security,
+    solve,
+    study,
+)
 from opfmodel.cli.output import WarningPrinter, print_faults, print_json, print_line, remark
 from opfmodel.cli.signals import ended_by_signals
 from opfmodel.errors import Fault, OpfmodelError, shown
@@ -33,6 +45,7 @@ app.command("run")(run.run)
 app.command("table")(run.table)
 app.command("validate")(inspect.validate)
 app.command("plot")(run.plot)
+app.command("report")(report.report)
 app.command("list")(inspect.list_plugins)
 app.command("schema")(schema.schema)
 app.command("info")(look.info)

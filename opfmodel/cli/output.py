@@ -24,7 +24,6 @@ __all__ = [
     "solver_output",
 ]
 
-_UNLIMITED = 100_000  # columns
 _MOST_WARNINGS = 100
 _MOST_FAULTS = 20
 
@@ -98,22 +97,36 @@ def print_table(
     prose
         Whether the last column holds sentences, which wrap at the width of the terminal.
     """
+    cells = [[[visible(line) for line in cell.splitlines()] for cell in row] for row in (columns, *rows)]
+    if prose and sys.stdout.isatty():
+        _print_wrapped(cells)
+        return
+    widths = [
+        max((len(line) for row in cells for line in row[place]), default=0) for place in range(len(columns))
+    ]
+    for row in cells:
+        for number in range(max(map(len, row))):
+            line = (cell[number] if number < len(cell) else "" for cell in row)
+            padded = (
+                part.rjust(width) if numbers and place else part.ljust(width)
+                for place, (part, width) in enumerate(zip(line, widths, strict=True))
+            )
+            print_line("  ".join(padded).rstrip())
+
+
+def _print_wrapped(cells: Sequence[Sequence[Sequence[str]]]) -> None:
+    """Print a table, whose last column wraps at the width of the terminal."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(width=None if prose and sys.stdout.isatty() else _UNLIMITED, color_system=None)
+    console = Console(color_system=None)
     table = Table(box=None, pad_edge=False)
-    for place, column in enumerate(columns):
-        wrapped = prose and place == len(columns) - 1
-        table.add_column(
-            Text(visible(column)),
-            justify="right" if numbers and place else "left",
-            no_wrap=not wrapped,
-        )
+    head, *rows = (["\n".join(cell) for cell in row] for row in cells)
+    for place, column in enumerate(head):
+        table.add_column(Text(column), no_wrap=place < len(head) - 1)
     for row in rows:
-        # square brackets in a cell are not markup
-        table.add_row(*(Text("\n".join(map(visible, cell.splitlines()))) for cell in row))
+        table.add_row(*map(Text, row))  # square brackets in a cell are not markup
     with console.capture() as captured:
         console.print(table)
     for line in captured.get().splitlines():

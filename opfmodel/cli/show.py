@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["comparisons", "entries", "plan", "run", "study_outcome", "study_statistics", "study_table"]
 
+_UNITS, _LIMITS = 10, 6  # that the overview of a plan names
 _TOLERATED = 1e-5  # p.u. on the scale of the system, or radians
 _ELASTIC = "hint: --on-infeasible elastic reports which limits cannot be met, where and when"
 
@@ -66,6 +67,49 @@ def plan(
     _diagnosis(diagnosis)
     if solved.infeasible and not elastic:
         print_line(_ELASTIC)
+    if solved.optimal:
+        _overview(solved)
+
+
+def _overview(solved: Plan) -> None:
+    """Print what the largest units do, the range of the prices and the limits that bind."""
+    from opfmodel.results.overview import limited, price_range, units
+
+    data = solved.trajectory(solved.likeliest)
+    every = units(data)
+    shown = sorted(every, key=lambda unit: -abs(unit.energy_mwh))[:_UNITS]
+    single = solved.stages == 1
+    print_line("")
+    print_table(
+        ["unit", "bus", *(["MW"] if single else ["mean MW", "min", "max"]), "price"],
+        [
+            [
+                unit.name,
+                unit.bus,
+                *([f"{unit.mean_mw:,.2f}"] if single else [f"{mw:,.2f}" for mw in unit[3:6]]),
+                "" if unit.price != unit.price else f"{unit.price:,.2f}",
+            ]
+            for unit in (each for each in every if each in shown)
+        ],
+        numbers=True,
+    )
+    if len(every) > len(shown):
+        print_line(f"and {len(every) - len(shown)} more units")
+    lines = {}
+    if (prices := price_range(data)) is not None:
+        (least, cheap), mean, (most, dear) = prices
+        low, middle, high = (f"{round(price, 2) + 0.0:,.2f}" for price in (least, mean, most))
+        unit = f"{solved.network.currency}/MWh"
+        lines["prices"] = f"{low} {unit} at bus {cheap} to {high} at bus {dear}, mean {middle}"
+    bound = limited(data)
+    texts = [
+        f"{each.component} {each.quantity} {each.side}" + ("" if single else f" ({each.stages})")
+        for each in bound[:_LIMITS]
+    ]
+    more = f" and {len(bound) - _LIMITS} more" if len(bound) > _LIMITS else ""
+    lines["at limits"] = f"{', '.join(texts)}{more}" if texts else "none"
+    print_line("")
+    print_pairs(lines)
 
 
 def _failed(solved: Plan) -> str:

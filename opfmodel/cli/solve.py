@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from opfmodel.cli import show
 from opfmodel.cli.options import FILE, JSON, LOSSY, ON_INFEASIBLE, SET, VARIANT, VERBOSE
-from opfmodel.cli.output import print_json, solver_output
+from opfmodel.cli.output import print_json, print_line, solver_output
 from opfmodel.cli.reading import check_on_infeasible, controller_of
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ def solve(
     variant: VARIANT = None,
     set_: SET = None,
     on_infeasible: ON_INFEASIBLE = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for trajectories with prices, a summary and a table of the stages (CSV)."),
+    ] = None,
     bound: Annotated[
         bool, typer.Option("--bound", help="Certify the plan: a lower bound on its cost from a relaxation.")
     ] = False,
@@ -79,6 +84,10 @@ def solve(
             diagnosed = problem.elastic_twin(controller.elastic).solve(initial=initial, **asked)
         diagnosis = [str(shortage) for shortage in diagnosed.shortages]
     report = _verified(controller, plan) if plan.optimal else None
+    if out is not None:
+        plan.save(out)
+        if plan.optimal:
+            plan.to_csv(out / "stages.csv")
     if json_:
         print_json(
             {
@@ -108,6 +117,8 @@ def solve(
         )
     else:
         show.plan(plan, report, diagnosis, elastic, certificate, commitments)
+        if out is not None:
+            print_line(f"results: {out}")
     return 0 if plan.optimal else 1
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +22,15 @@ from opfmodel.network.units import scale
 from opfmodel.plan.diagnosis import shortfall_due
 from opfmodel.plan.outages import STATUS
 from opfmodel.plan.request import Request
+from opfmodel.plugins.versions import versions
 from opfmodel.results import labelled
+from opfmodel.results.overview import Unit, units
+from opfmodel.results.presented import Presented, Scenarios
+from opfmodel.results.store import save
 from solvers import Solution, SolutionStatus
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
     from opfmodel.plan.multistage import MultiStage
@@ -35,7 +41,7 @@ __all__ = ["Plan", "penalty_outputs", "status_word"]
 Array = npt.NDArray[np.float64]
 
 
-class Plan:
+class Plan(Presented):
     """The result of one solve: trajectories in physical units, status and effort.
 
     If the solver found no optimum, the objective, the quantities and the prices are NaN, and
@@ -302,6 +308,79 @@ class Plan:
         """
         made = self._labelled.dataset()
         return made if self.horizon.is_chain else _over_nodes(made, self.horizon)
+
+    def record(self) -> dict[str, Any]:
+        """Return what a report states of the plan: status, cost, effort, check and outages."""
+        from opfmodel.check import check
+
+        solution, made = self.solution, dict[str, Any]()
+        if self.optimal and self.horizon.is_chain:
+            found = check(
+                self.problem.network, self.trajectory(self.horizon.scenarios[0]), self.problem.profiles
+            )
+            made = {
+                "max_violation": found.max_violation,
+                "violations": found.as_dict(),
+                "unchecked": list(found.unchecked),
+            }
+        return {
+            "status": self.status,
+            "termination": self.termination,
+            "cost": self.objective if self.optimal else None,
+            "currency": self.network.currency,
+            "steps": self.stages,
+            "iterations_mean": solution.iterations,
+            "solve_seconds_mean": solution.seconds,
+            "contingencies": [
+                {"out": name, "status": "included"}
+                for name in dict.fromkeys(self.request.horizon.out)
+                if name
+            ],
+            "notes": list(self.problem.notes),
+            "versions": versions(),
+            **made,
+        }
+
+    def summary(self) -> pd.DataFrame:
+        """Return what each unit does over the plan, as a pandas table indexed by name.
+
+        Columns are ``kind``, ``bus``, ``mean_mw``, ``min_mw``, ``max_mw``, ``energy_mwh``, ``price`` (mean at
+        its bus, weighted by energy, $/MWh) and ``stages_at_limit``; powers are those into the grid. If there
+        are several scenarios, of the most probable one.
+        """
+        import pandas as pd
+
+        rows = units(self.trajectory(self.likeliest))
+        return pd.DataFrame(rows, columns=Unit._fields).set_index("name")
+
+    @property
+    def likeliest(self) -> str:
+        """The most probable scenario."""
+        shares = self.horizon.probability[self.horizon.leaves]
+        return self.horizon.scenarios[int(np.argmax(shares))]
+
+    def save(self, folder: str | Path) -> None:
+        """Write ``trajectories.nc`` and ``summary.json`` to a folder, from which ``opfmodel.load_run`` reads.
+
+        Of the most probable scenario, if there are several.
+
+        Raises
+        ------
+        ResultError
+            The folder cannot be written.
+        """
+        save(self.scenario(self.likeliest) if self.optimal else None, self.record(), Path(folder))
+
+    def futures(self) -> Scenarios:
+        """Return probability, cost and trajectories of each scenario; empty if the horizon is a chain."""
+        if self.horizon.is_chain:
+            return {}
+        shares = self.horizon.probability[self.horizon.leaves]
+        costs = self.scenario_costs
+        return {
+            name: (float(share), costs[name], self.scenario(name))
+            for name, share in zip(self.horizon.scenarios, shares, strict=True)
+        }
 
     @property
     def _labelled(self) -> Labelled:

@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "REPORT",
     "Files",
     "check_writable",
     "digest",
     "finite",
     "load",
     "make_folder",
+    "netcdf",
     "packed",
     "read_summary",
     "save",
@@ -37,6 +39,9 @@ __all__ = [
 ]
 
 Files = Mapping[str, bytes]
+
+REPORT = "report.html"
+"""Name of the report in the folder of a run or a study."""
 
 _DATA, _SUMMARY = "trajectories.nc", "summary.json"
 _DIGEST = "trajectories_sha256"
@@ -57,9 +62,9 @@ _DAMAGE = (
 def save(data: xr.Dataset | None, summary: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Write ``trajectories.nc`` (NetCDF 4) and ``summary.json`` to a folder, creating it if necessary.
 
-    Afterwards, the folder describes this run only: figures of an earlier run are deleted, and so are
-    its trajectories if this run has none. Files are never incomplete; on a full disk, those of the
-    earlier run are kept.
+    Afterwards, the folder describes this run only: figures and the report of an earlier run are deleted,
+    and so are its trajectories if this run has none. Files are never incomplete; on a full disk, those of
+    the earlier run are kept.
 
     Parameters
     ----------
@@ -88,7 +93,7 @@ def packed(data: xr.Dataset | None, summary: Mapping[str, object]) -> tuple[File
     """Return the files that :func:`save` writes, by name, and the summary with its checksum."""
     saved, files = dict(summary), {}
     if data is not None:
-        files[_DATA] = _netcdf(data)
+        files[_DATA] = netcdf(data)
         saved[_DIGEST] = hashlib.sha256(files[_DATA]).hexdigest()
     files[_SUMMARY] = (json.dumps(finite(saved), indent=2, allow_nan=False) + "\n").encode()
     return files, saved
@@ -104,7 +109,7 @@ def unpack(files: Files, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     # the summary goes first and comes last: a process that is killed leaves none rather than a wrong one
-    obsolete = [folder / _SUMMARY, folder / _DATA, *figure_paths(folder)]
+    obsolete = [folder / _SUMMARY, folder / _DATA, folder / REPORT, *figure_paths(folder)]
     replace({folder / name: content for name, content in files.items()}, obsolete)
 
 
@@ -174,7 +179,7 @@ def write_record(record: Mapping[str, object], path: Path) -> None:
         raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _netcdf(data: xr.Dataset) -> bytes:
+def netcdf(data: xr.Dataset) -> bytes:
     """Return a dataset as a NetCDF file, made in memory: HDF5 crashes if the disk is full."""
     stream = io.BytesIO()
     data.to_netcdf(stream, engine="h5netcdf")

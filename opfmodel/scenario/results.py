@@ -35,18 +35,6 @@ class Results(NamedTuple):
 
 def results_of(scenario: Scenario, run: Run) -> Results:
     """Check the trajectories of a run, and return what :func:`opfmodel.results.save` writes."""
-    from opfmodel.check import check
-
-    data = report = None
-    if run.steps:
-        data = run.data.assign_attrs(scenario=scenario.name)
-        report = check(scenario.network, run.data, run.problem.profiles, previous_pg=run.previous_pg)
-    summary = {
-        "scenario": scenario.name,
-        **run.summary(),
-        "currency": scenario.network.currency,
-        "max_violation": None if report is None else report.max_violation,
-        "violations": {} if report is None else report.as_dict(),
-        "unchecked": [] if report is None else list(report.unchecked),
-    }
-    return Results(data, summary, report)
+    report = run.check()
+    data = run.data.assign_attrs(scenario=scenario.name) if run.steps else None
+    return Results(data, {"scenario": scenario.name, **run.checked(report)}, report)

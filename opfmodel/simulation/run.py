@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,10 @@ import numpy.typing as npt
 from opfmodel.model import NumericStage
 from opfmodel.objectives.base import Objective
 from opfmodel.plan import Initial, MultiStage
+from opfmodel.plugins.versions import versions
 from opfmodel.results import dataset
+from opfmodel.results.presented import Presented
+from opfmodel.results.store import save
 from opfmodel.simulation.outages import Outages
 from opfmodel.simulation.plants.base import Step
 from opfmodel.simulation.records import summarise
@@ -19,13 +23,15 @@ from opfmodel.simulation.records import summarise
 if TYPE_CHECKING:
     import xarray as xr
 
+    from opfmodel.check import Report
+
 __all__ = ["Run"]
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass
-class Run:
+class Run(Presented):
     """A closed loop, finished or not.
 
     Attributes
@@ -176,3 +182,37 @@ class Run:
             **self.outages.summary(len(self.steps), self.problem.step),
             **summarise(self.problem, self.steps),
         }
+
+    def check(self) -> Report | None:
+        """Recompute constraints and costs of the realised trajectories; None without a completed step."""
+        from opfmodel.check import check
+
+        if not self.steps:
+            return None
+        problem = self.problem
+        return check(problem.network, self.data, problem.profiles, previous_pg=self.previous_pg)
+
+    def record(self) -> dict[str, Any]:
+        """Return the key figures with those of the independent check, as ``summary.json`` has them."""
+        return self.checked(self.check())
+
+    def checked(self, report: Report | None) -> dict[str, Any]:
+        """Return the key figures with those of a check."""
+        return {
+            **self.summary(),
+            "currency": self.problem.network.currency,
+            "max_violation": None if report is None else report.max_violation,
+            "violations": {} if report is None else report.as_dict(),
+            "unchecked": [] if report is None else list(report.unchecked),
+            "versions": versions(),
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write ``trajectories.nc`` and ``summary.json`` to a folder, from which ``opfmodel.load_run`` reads.
+
+        Raises
+        ------
+        ResultError
+            The folder cannot be written.
+        """
+        save(self.data if self.steps else None, self.record(), Path(folder))

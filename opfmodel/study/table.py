@@ -12,7 +12,7 @@ from opfmodel.errors import ResultError, close, listed, nearest
 from opfmodel.simulation.records import DESCRIBED
 from opfmodel.study.progress import described
 
-__all__ = ["Group", "Statistics", "aggregate", "shown_columns"]
+__all__ = ["Group", "Statistics", "aggregate", "axes_of", "is_figure", "shown_columns"]
 
 Row = Mapping[str, Any]
 
@@ -101,7 +101,7 @@ def shown_columns(
             raise ResultError(f"the table has no column {name!r}; {nearest(name, known)}")
     if wanted:
         return list(wanted)
-    first = (*(name for name in _axes(rows) if len({repr(row[name]) for row in rows}) > 1), *_FIRST)
+    first = (*(name for name in axes_of(rows) if len({repr(row[name]) for row in rows}) > 1), *_FIRST)
     return [
         name
         for name in (names if every else first)
@@ -128,12 +128,12 @@ def aggregate(
     ResultError
         The study has no such axis, or several; or a column has no numbers.
     """
-    axes = _axes(rows)
+    axes = axes_of(rows)
     away = {_axis(name, axes) for name in ([over] if isinstance(over, str) else over)}
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(repr([row[name] for name in axes if name not in away]), []).append(row)
-    known = [name for name in rows[0] if name not in axes and _is_figure(name, rows)]
+    known = [name for name in rows[0] if name not in axes and is_figure(name, rows)]
     for name in figures or ():
         if name not in known:
             raise ResultError(f"column {name!r} has no numbers; {nearest(name, known)}")
@@ -161,7 +161,7 @@ def _statistics(values: Sequence[float]) -> Statistics:
     return Statistics(numbers.size, float(numbers.mean()), deviation, *quantiles)
 
 
-def _axes(rows: Sequence[Row]) -> list[str]:
+def axes_of(rows: Sequence[Row]) -> list[str]:
     """Return the axes, which are the columns before the key."""
     names = list(rows[0])
     return names[: names.index("key")]
@@ -180,7 +180,7 @@ def _axis(name: str, axes: Sequence[str]) -> str:
     raise ResultError(f"the study has no axis {name!r}; {hint}")
 
 
-def _is_figure(name: str, rows: Sequence[Row]) -> bool:
+def is_figure(name: str, rows: Sequence[Row]) -> bool:
     """Whether a column holds numbers, and no provenance."""
     values = [row[name] for row in rows if row[name] is not None]
     plain = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
