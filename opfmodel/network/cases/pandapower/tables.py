@@ -44,7 +44,7 @@ _CURVE = "reactive_capability_curve id_q_capability_characteristic curve_style"
 _BRANCH = "name in_service max_loading_percent"
 
 READ: Mapping[str, frozenset[str]] = {
-    "bus": _columns("name vn_kv in_service min_vm_pu max_vm_pu"),
+    "bus": _columns("name vn_kv in_service min_vm_pu max_vm_pu geo"),
     "load": _columns(f"name bus p_mw q_mvar scaling in_service controllable {_LIMITS}"),
     "sgen": _columns(f"name bus p_mw q_mvar scaling in_service controllable {_LIMITS} {_CURVE}"),
     "gen": _columns(
