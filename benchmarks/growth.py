@@ -23,6 +23,7 @@ from benchmarks.systems import case118, pglib, pglib_path
 HORIZONS = (6, 12, 24, 48, 96)
 DECLARED = (96, 480)
 COMMANDS = ("case14_ieee", "case2000_goc")
+DAYS = ("case1354_pegase", "case2869_pegase", "case9241_pegase")
 CASES = ("case118_ieee", "case300_ieee", "case1354_pegase", "case2869_pegase", "case9241_pegase")
 
 
@@ -165,9 +166,10 @@ def main() -> None:
     by_case = {case: median([measure(single, case) for _ in range(options.repeat)]) for case in cases}
     rows = [{"measurement": f"118 x {n}", **result} for n, result in by_horizon.items()]
     rows += [{"measurement": f"{case} x 1", **result} for case, result in by_case.items()]
-    if not options.quick:
-        day = measure(storages, "case1354_pegase", 24, 20)
-        rows.append({"measurement": "case1354_pegase x 24, 20 storages", **day})
+    days = () if options.quick else DAYS
+    rows += [
+        {"measurement": f"{case} x 24, 20 storages", **measure(storages, case, 24, 20)} for case in days
+    ]
     declared = DECLARED[:1] if options.quick else DECLARED
     rows += [{"measurement": f"118 x {n}, declared", **measure(declared_118, n)} for n in declared]
     commands = COMMANDS[:1] if options.quick else COMMANDS

@@ -1,4 +1,4 @@
-"""Write docs/benchmarks.md from the results in ``benchmarks/results``.
+"""Write docs/benchmarks.md from the results in ``benchmarks/results``; other sections stay as they are.
 
 python -m benchmarks.page
 """
@@ -40,14 +40,14 @@ would differentiate the file faster than CasADi's reader does.)""",
         "Receding horizon",
         """Five steps after the first, each started from the previous one; plain CasADi starts from its
 last primal values. The remaining rows are the closed loops of the paper's systems: 49 steps with
-a horizon of 48. Overhead is the part of a step spent outside the solver: Python code, updating
+a horizon of 48, of which the means are those of the 48 warm steps. Overhead is the part of a step spent outside the solver: Python code, updating
 instance data and reading results.""",
     ),
     "growth": (
         "Growth",
         """Growth with the horizon (IEEE 118, storage at every bus; a step is the mean of two warm steps)
-and with the size of the network (single stages of PGLib cases; 1,354 buses over a day with 20
-storage units).""",
+and with the size of the network (single stages of PGLib cases, and three of them over a day with 20
+storage units), memory of a problem alone, and a command from its start to its end.""",
     ),
     "windows": (
         "Windows",
@@ -122,7 +122,10 @@ def section(name: str, title: str, text: str) -> str:
     path = RESULTS / f"{name}.json"
     lines = [f"## {title}", "", text, "", f"`python -m benchmarks.{name}`", ""]
     if not path.exists():
-        return "\n".join([*lines, "Not measured yet.", ""])
+        command = lines[-2]
+        _, _, measured = PAGE.read_text(encoding="utf-8").partition(f"\n{command}\n\n")
+        measured = measured.partition("\n## ")[0] or "Not measured yet.\n"
+        return "\n".join([*lines, measured])
     content = json.loads(path.read_text(encoding="utf-8"))
     rows: list[dict[str, Any]] = content["rows"]
     columns = list(dict.fromkeys(key for row in rows for key in row))
