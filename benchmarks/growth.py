@@ -167,9 +167,7 @@ def main() -> None:
     rows = [{"measurement": f"118 x {n}", **result} for n, result in by_horizon.items()]
     rows += [{"measurement": f"{case} x 1", **result} for case, result in by_case.items()]
     days = () if options.quick else DAYS
-    rows += [
-        {"measurement": f"{case} x 24, 20 storages", **measure(storages, case, 24, 20)} for case in days
-    ]
+    rows += [{"measurement": f"{case} x 24, 20 storages", **measure(storages, case, 24, 20)} for case in days]
     declared = DECLARED[:1] if options.quick else DECLARED
     rows += [{"measurement": f"118 x {n}, declared", **measure(declared_118, n)} for n in declared]
     commands = COMMANDS[:1] if options.quick else COMMANDS

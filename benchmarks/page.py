@@ -40,8 +40,8 @@ would differentiate the file faster than CasADi's reader does.)""",
         "Receding horizon",
         """Five steps after the first, each started from the previous one; plain CasADi starts from its
 last primal values. The remaining rows are the closed loops of the paper's systems: 49 steps with
-a horizon of 48, of which the means are those of the 48 warm steps. Overhead is the part of a step spent outside the solver: Python code, updating
-instance data and reading results.""",
+a horizon of 48, of which the means are those of the 48 warm steps. Overhead is the part of a step
+spent outside the solver: Python code, updating instance data and reading results.""",
     ),
     "growth": (
         "Growth",

@@ -17,6 +17,7 @@ import opfmodel as om
 from opfmodel.profiles.scale import Scale
 from opfmodel.results.report.moments import Moments
 from opfmodel.results.report.run import report_page
+from opfmodel.study import read_study
 
 MOST = 6_000_000  # bytes of a page
 
@@ -262,3 +263,20 @@ def test_solving_writes_what_it_found(tmp_path: Path, call: Call) -> None:
     assert plan.data.sizes["time"] == 4
     assert "lmp" in plan.data
     assert (tmp_path / "plan" / "stages.csv").read_text(encoding="utf-8").startswith("time,")
+
+
+def test_objects_show_themselves_in_a_notebook(run: om.Run) -> None:
+    assert "<td>2</td>" in run.problem.network._repr_html_()
+    assert "Economic" in run.problem._repr_html_()
+    study = read_study(SCENARIOS / "studies" / "horizon.yaml")
+    assert repr(study).startswith("Study('horizon': ")
+    assert "controller.horizon" in study._repr_html_()
+
+
+def test_what_happens_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", logger="opfmodel"):
+        om.simulate(om.MultiStage(two_bus(), 2, profiles=demand(3)), steps=2)
+    texts = [record.getMessage() for record in caplog.records]
+    assert [text for text in texts if "compiled" in text]
+    assert len([text for text in texts if text.startswith("Plan(")]) == 2
+    assert texts[-1] == "step 2 of 2: plan locally_optimal, plant planned"

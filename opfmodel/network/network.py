@@ -22,6 +22,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
+from opfmodel.data.notebook import pairs
 from opfmodel.data.series import Profiles
 from opfmodel.errors import ComponentError, NetworkError, name_fault, nearest, raise_all
 from opfmodel.network.bounds import BASE_MVA, is_number
@@ -302,6 +303,12 @@ class Network:
             n = len(self.of(kind))
             counts.append(f"{n} {kind.kind if n == 1 else kind.plural}")
         return f"Network({self.name!r}: {', '.join(counts) or 'empty'})"
+
+    def _repr_html_(self) -> str:
+        """Show the numbers of components in a notebook."""
+        counts = {kind.plural.replace("_", " "): f"{len(self.of(kind)):,}" for kind in self.kinds()}
+        series = {"time series": f"{len(self.profiles):,}"} if self.profiles else {}
+        return pairs(self.name, {**counts, "base": f"{self.base_mva:g} MVA", **series})
 
 
 def name_pattern(name: str) -> re.Pattern[str]:

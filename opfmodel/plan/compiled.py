@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time as clock
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
 __all__ = ["Compiled", "compiled", "declared", "explained"]
+
+_log = logging.getLogger(__name__)
 
 
 class Compiled(NamedTuple):
@@ -77,7 +80,11 @@ def compiled(problem: MultiStage) -> Compiled:
         stocks = [name for name, state in model.states.items() if state.role == "stock"]
         shrinking = Shrinking(program, problem.stages, stocks, [*model.whole, SHORTAGE])
     session = prepare(program, problem.solver, problem.options, problem.verbose)
-    return Compiled(model, program, session, shrinking, clock.perf_counter() - began)
+    seconds = clock.perf_counter() - began
+    _log.info(
+        "%r compiled: %d variables, %d rows, %.3f s", problem, program.n_variables, program.n_rows, seconds
+    )
+    return Compiled(model, program, session, shrinking, seconds)
 
 
 def declared(problem: MultiStage, horizon: Horizon) -> Model:

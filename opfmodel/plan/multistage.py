@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.data.calendar import Times, duration
+from opfmodel.data.notebook import pairs
 from opfmodel.data.series import Profiles
 from opfmodel.errors import (
     ConstraintError,
@@ -243,6 +244,17 @@ class MultiStage:
             f"MultiStage({self.network.name!r}: {self.horizon}, {self.formulation.name}, "
             f"{type(self.objective).__name__})"
         )
+
+    def _repr_html_(self) -> str:
+        """Show what is solved in a notebook."""
+        known = {
+            "horizon": str(self.horizon),
+            "formulation": self.formulation.name,
+            "objective": type(self.objective).__name__,
+            "solver": self.solver,
+            "constraints": ", ".join(self.constraints) or "none",
+        }
+        return pairs(self.network.name, known)
 
     @property
     def stages(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from opfmodel.plan.multistage import MultiStage
 
 __all__ = ["posed", "solved"]
+
+_log = logging.getLogger(__name__)
 
 Array = npt.NDArray[np.float64]
 
@@ -116,7 +119,9 @@ def solved(
     solution = replace(solution, seconds=solution.seconds + effort, skipped=begin)
     if solution.status.is_optimal:
         solution = with_least_peaks(model, solution)
-    return Plan(problem, model, solution, network, request)
+    plan = Plan(problem, model, solution, network, request)
+    _log.info("%r: %s, %s iterations, %.3f s", plan, solution.solver, solution.iterations, solution.seconds)
+    return plan
 
 
 def _begin(problem: MultiStage, request: Request) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from opfmodel.data.notebook import pairs
 from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError, nearest, shown
 from opfmodel.results.store import load, netcdf, read_summary, save
@@ -102,13 +102,8 @@ class Presented(ABC):
 
     def _repr_html_(self) -> str:
         """Show the figures in short in a notebook."""
-        kept = {k: v for k, v in self.record().items() if isinstance(v, str | int | float) and v is not None}
-        rows = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(name.replace('_', ' '))}</th>"
-            f"<td style='text-align:right'>{html.escape(_text(value))}</td></tr>"
-            for name, value in kept.items()
-        )
-        return f"<b>{html.escape(repr(self))}</b><table>{rows}</table>"
+        known = {k: v for k, v in self.record().items() if isinstance(v, str | int | float)}
+        return pairs(repr(self), {name.replace("_", " "): _text(value) for name, value in known.items()})
 
 
 class SavedRun(Presented):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -25,6 +26,8 @@ from opfmodel.simulation.run import Run
 from solvers.interrupt import interruptible
 
 __all__ = ["check_commitment", "check_first_stage", "check_response", "simulate"]
+
+_log = logging.getLogger(__name__)
 
 
 def simulate(
@@ -146,6 +149,7 @@ def _loop(
         state = outages.resumed(problem, time, step.state)
         if keeper is not None:
             keeper.step(run, state, controller, plant)
+        _log.info("step %d of %d: plan %s, plant %s", time + 1, steps, run.plans[-1]["status"], step.status)
         advance(1)
         if on_step is not None:
             on_step(run)

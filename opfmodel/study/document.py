@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from opfmodel.data.notebook import pairs
 from opfmodel.errors import Fault, IncompatibleError, ScenarioError, shown
 from opfmodel.scenario import laid_over, load_scenario
 from opfmodel.scenario.document import Document, check_name, check_printable, read_document, validated
@@ -127,6 +128,15 @@ class Study:
     axes: tuple[Axis, ...]
     keep: Keep = "figures"
     starts: Starts = "cold"
+
+    def __repr__(self) -> str:
+        axes = ", ".join(f"{axis.name} ({len(axis.labels)})" for axis in self.axes)
+        return f"Study({self.name!r}: {len(self)} runs over {axes or 'no axis'})"
+
+    def _repr_html_(self) -> str:
+        """Show the axes in a notebook."""
+        axes = {axis.name: ", ".join(map(str, axis.labels)) for axis in self.axes}
+        return pairs(f"{self.name}: {len(self)} runs", {**axes, "keeps": self.keep, "starts": self.starts})
 
     def __len__(self) -> int:
         """Number of runs."""
