@@ -6,6 +6,7 @@
 # make table  run the closed loops of the paper's four systems; write docs/paper-table.md and its figures
 # make bench  run all benchmarks on an idle machine; write docs/benchmarks.md
 # make generated  write JSON Schemas and the tables of the documentation from declarations
+# make docs   build the documentation as a site in build/site; a broken link is an error
 # make pglib  solve the PGLib cases that have no result yet; write docs/pglib.md
 PYTHON ?= python3
 BIN := .venv/bin
@@ -17,7 +18,7 @@ PARALLEL_SLOW ?= -n 4 --dist worksteal
 # The processes that tests start need not compile this package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test test-slow test-examples fuzz check table bench generated pglib clean
+.PHONY: run test test-slow test-examples fuzz check table bench generated docs pglib clean
 
 run: .venv/.run
 	$(BIN)/opfmodel run scenarios/case5-step.yaml
@@ -50,6 +51,10 @@ bench: .venv/.bench
 generated: .venv/.run
 	$(BIN)/python docs/generate.py
 
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo build/site/index.html
+
 pglib: .venv/.bench
 	$(BIN)/python -m benchmarks.pglib
 
@@ -68,6 +73,10 @@ clean:
 
 .venv/.test: .venv/.run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	touch $@
+
+.venv/.docs: .venv/.run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	touch $@
 
 .venv/.slow: .venv/.test

@@ -11,7 +11,7 @@ from conftest import ROOT, SCENARIOS
 import opfmodel as om
 from opfmodel.plugins.catalogue import catalogue
 
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -41,11 +41,11 @@ def test_python_of_a_page_runs(page: Path, tmp_path: Path, capsys: pytest.Captur
         assert len(blocks(page, "python")[0].strip().splitlines()) <= 15
 
 
-def test_the_closed_loops_of_the_readme_cost_what_it_states(tmp_path: Path) -> None:
-    readme = ROOT / "README.md"
-    (tmp_path / "two-bus.yaml").write_text(blocks(readme, "yaml")[0])
+def test_the_closed_loops_of_the_quick_start_cost_what_it_states(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "quick-start.md"
+    (tmp_path / "two-bus.yaml").write_text(blocks(page, "yaml")[0])
     stated = re.findall(
-        r"opfmodel run two-bus\.yaml.*# .*?([\d,]+\.\d\d) \$", readme.read_text(encoding="utf-8")
+        r"opfmodel run two-bus\.yaml.*# .*?([\d,]+\.\d\d) \$", page.read_text(encoding="utf-8")
     )
     for variant, cost in zip((None, "dc"), stated, strict=True):
         run = om.load_scenario(tmp_path / "two-bus.yaml", variant).simulate()
@@ -123,3 +123,27 @@ def test_every_scenario_loads_and_its_series_cover_its_loop(path: Path) -> None:
     needed = scenario.steps + scenario.problem.horizon.steps - 1
     assert scenario.name == path.stem
     assert {len(values) for values in scenario.profiles.series.values()} == {needed}
+
+
+def test_the_reference_has_every_public_name() -> None:
+    pages = (ROOT / "docs" / "reference").glob("*.md")
+    named = {
+        name
+        for page in pages
+        for name in re.findall(r"^::: opfmodel\.(\w+)$", page.read_text(), re.MULTILINE)
+    }
+    assert named == {*om.__all__, "study"}
+
+
+def test_the_list_of_decisions_is_complete() -> None:
+    folder = ROOT / "docs" / "decisions"
+    listed = re.findall(r"\]\((\S+\.md)\)", (folder / "index.md").read_text(encoding="utf-8"))
+    assert listed == sorted(page.name for page in folder.glob("0*.md"))
+
+
+def test_every_page_is_in_the_menu_of_the_site() -> None:
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert set(re.findall(r": (\S+\.md)$", menu, re.MULTILINE)) == {
+        page for page in pages if not page.startswith("decisions/0")
+    }
