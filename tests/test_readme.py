@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, SCENARIOS
+from conftest import ROOT, SCENARIOS, Call
 
 import opfmodel as om
 from opfmodel.plugins.catalogue import catalogue
@@ -123,6 +123,16 @@ def test_every_scenario_loads_and_its_series_cover_its_loop(path: Path) -> None:
     needed = scenario.steps + scenario.problem.horizon.steps - 1
     assert scenario.name == path.stem
     assert {len(values) for values in scenario.profiles.series.values()} == {needed}
+
+
+def test_the_grid_that_is_infeasible_lacks_what_the_page_states(tmp_path: Path, call: Call) -> None:
+    page = ROOT / "docs" / "troubleshooting.md"
+    (tmp_path / "tight.yaml").write_text(blocks(page, "yaml")[0])
+    [stated] = re.findall(r"^ +(diagnosis: .*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    _, out, _ = call("solve", str(tmp_path / "tight.yaml"), "--on-infeasible", "elastic")
+    assert stated in out.splitlines()
+    _, out, _ = call("solve", str(tmp_path / "tight.yaml"), "--bound")
+    assert "proven_infeasible" in out.splitlines()[0]
 
 
 def test_the_reference_has_every_public_name() -> None:
