@@ -280,3 +280,11 @@ def test_what_happens_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     assert [text for text in texts if "compiled" in text]
     assert len([text for text in texts if text.startswith("Plan(")]) == 2
     assert texts[-1] == "step 2 of 2: plan locally_optimal, plant planned"
+
+
+def test_a_secure_plan_lists_the_outages_that_it_includes(tmp_path: Path) -> None:
+    grid = om.load_scenario(SCENARIOS / "case5-step.yaml").network
+    secure = om.Security({"branches": ["1-2", "1-4"]}, screen=False)
+    plan = om.MultiStage(grid, security=secure).solve()
+    [table] = parts(content(plan.report(tmp_path / "report.html")), "Outages")
+    assert [row[0] for row in table["rows"]] == ["1-2", "1-4"]

@@ -332,9 +332,9 @@ class Plan(Presented):
             "iterations_mean": solution.iterations,
             "solve_seconds_mean": solution.seconds,
             "contingencies": [
-                {"out": name, "status": "included"}
-                for name in dict.fromkeys(self.request.horizon.out)
-                if name
+                {"out": ", ".join(names), "status": "included"}
+                for names in dict.fromkeys(self.request.horizon.out)
+                if names
             ],
             "notes": list(self.problem.notes),
             "versions": versions(),
