@@ -288,3 +288,14 @@ def test_a_secure_plan_lists_the_outages_that_it_includes(tmp_path: Path) -> Non
     plan = om.MultiStage(grid, security=secure).solve()
     [table] = parts(content(plan.report(tmp_path / "report.html")), "Outages")
     assert [row[0] for row in table["rows"]] == ["1-2", "1-4"]
+
+
+def test_a_plan_replaces_no_run(tmp_path: Path, call: Call) -> None:
+    scenario = str(SCENARIOS / "case5-step.yaml")
+    short = ("--set", "controller.horizon=4", "--set", "time.steps=1")
+    call("run", scenario, *short, "--out", str(tmp_path))
+    before = (tmp_path / "summary.json").read_bytes()
+    code, _, err = call("solve", scenario, *short, "--out", str(tmp_path))
+    assert code == 2
+    assert f"--out {tmp_path}: holds a closed loop" in err
+    assert (tmp_path / "summary.json").read_bytes() == before

@@ -55,6 +55,8 @@ def solve(
     from opfmodel.plan.attempt import attempts
 
     check_on_infeasible(on_infeasible)
+    if out is not None:
+        _check_out(out)
     elastic = on_infeasible == "elastic"
     chosen = {"formulation": formulation, "solver": solver, "horizon": horizon}
     with solver_output(verbose):
@@ -112,6 +114,7 @@ def solve(
                 "variables": plan.solution.program.n_variables,
                 "rows": plan.solution.program.n_rows,
                 "notes": list(problem.notes),
+                "results": None if out is None else str(out),
                 "diagnosis": {"0": diagnosis} if diagnosis else {},  # by step, as for a closed loop
             }
         )
@@ -120,6 +123,21 @@ def solve(
         if out is not None:
             print_line(f"results: {out}")
     return 0 if plan.optimal else 1
+
+
+def _check_out(folder: Path) -> None:
+    """Raise an error unless a plan can be kept in a folder, where it would replace no run."""
+    from opfmodel.errors import ResultError
+    from opfmodel.results.store import check_writable, read_summary
+    from opfmodel.simulation.checkpoint import Checkpoint
+    from opfmodel.simulation.folder import CHECKPOINT
+
+    known = read_summary(folder) or {}
+    if "inputs" in known or Checkpoint(folder / CHECKPOINT).exists:
+        raise ResultError(
+            f"--out {folder}: holds a closed loop, which a plan must not replace; choose another"
+        )
+    check_writable(folder)
 
 
 def _verified(controller: Controller, plan: Plan) -> Report:

@@ -13,7 +13,7 @@ from opfmodel.network.arrays import PerUnitNetwork, Table
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LIMITS", "RAMPS", "RATINGS", "binding", "limits", "sides"]
+__all__ = ["LIMITS", "RAMPS", "RATINGS", "binding", "limits", "loading", "sides"]
 
 Array = npt.NDArray[np.float64]
 
@@ -164,6 +164,31 @@ def sides(data: Any) -> dict[str, npt.NDArray[np.int8]]:
             there = there & there[before] & (before != np.arange(before.size))[:, None]
             made[f"{quantity}_ramp"] = _side(change, -most, most, there)
     return made
+
+
+def loading(data: Any) -> Array | None:
+    """Return the loading of the branches in percent of their ratings, ``(stages, branches)``.
+
+    The larger apparent power of both ends counts; NaN without a rating.
+
+    Parameters
+    ----------
+    data
+        A dataset or :class:`Labelled`.
+
+    Returns
+    -------
+    array or None
+        None if the data have no flows or no ratings.
+    """
+    if not all(name in data for name in ("pf", "pt", "rating")):
+        return None
+    ends = [np.hypot(data[f"p{e}"].values, data[f"q{e}"].values if f"q{e}" in data else 0.0) for e in "ft"]
+    rating = np.broadcast_to(data["rating"].values, ends[0].shape)
+    rated = np.isfinite(rating) & (rating > 0)
+    percent = np.full(ends[0].shape, np.nan)
+    percent[rated] = 100 * np.maximum(*ends)[rated] / rating[rated]
+    return percent if rated.any() else None
 
 
 def _side(values: Array, low: Array, high: Array, free: npt.NDArray[np.bool_]) -> npt.NDArray[np.int8]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.results.limits import sides
+from opfmodel.results.limits import loading, sides
 
 __all__ = ["Limited", "Unit", "limited", "price_range", "units"]
 
@@ -22,7 +22,7 @@ _UNITS = (
     ("storage", "ps", -1.0),
     ("flexible_load", "flexible_load_p", -1.0),
 )
-_RATED = 1e-4  # of a rating: a branch loaded by less below it is at it
+_RATED = 99.99  # percent of its rating from which on a branch is at it
 
 
 class Unit(NamedTuple):
@@ -119,15 +119,11 @@ def _bounded(data: Any) -> Iterator[Limited]:
 
 
 def _rated(data: Any) -> Iterator[Limited]:
-    if not ("rating" in data and "pf" in data and "pt" in data):
-        return
-    zero = np.zeros_like(data["pf"].values)
-    ends = [np.hypot(data[f"p{e}"].values, data[f"q{e}"].values if f"q{e}" in data else zero) for e in "ft"]
-    rating = np.broadcast_to(data["rating"].values, zero.shape)
-    there = np.isfinite(rating) & (rating > 0) & (np.maximum(*ends) >= rating * (1 - _RATED))
-    many = np.count_nonzero(there, axis=0)
-    for number in np.flatnonzero(many):
-        yield Limited("flow", str(data["branch"].values[number]), "rating", int(many[number]))
+    percent = loading(data)
+    if percent is not None:
+        many = np.count_nonzero(percent >= _RATED, axis=0)  # NaN is at no rating
+        for number in np.flatnonzero(many):
+            yield Limited("flow", str(data["branch"].values[number]), "rating", int(many[number]))
 
 
 def _hours(data: Any) -> Array:

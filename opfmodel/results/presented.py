@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from opfmodel.data.notebook import pairs
-from opfmodel.data.writing import replace
 from opfmodel.errors import ResultError, nearest, shown
-from opfmodel.results.store import load, netcdf, read_summary, save
+from opfmodel.results.store import load, netcdf, read_summary, save, write_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,11 +67,11 @@ class Presented(ABC):
         ResultError
             The file cannot be written, or there is nothing to report.
         """
-        from opfmodel.results.report import write_report
+        from opfmodel.results.report import report_page
 
         futures = self.futures()
         likeliest = max(futures.values(), key=lambda each: each[0])[2] if futures else self.data
-        return write_report(Path(path), likeliest, self.record(), scenarios=futures)
+        return report_page(likeliest, self.record(), scenarios=futures).write(Path(path))
 
     def to_frame(self) -> pd.DataFrame:
         """Return the quantities as a pandas table: a row per stage, a column ``component.quantity`` each."""
@@ -88,7 +87,7 @@ class Presented(ABC):
         """
         stream = io.StringIO()
         self.to_frame().to_csv(stream, lineterminator="\n")
-        return _write(Path(path), stream.getvalue().encode())
+        return write_file(Path(path), stream.getvalue().encode())
 
     def to_netcdf(self, path: str | Path) -> Path:
         """Write the trajectories as NetCDF 4.
@@ -98,7 +97,7 @@ class Presented(ABC):
         ResultError
             The file cannot be written.
         """
-        return _write(Path(path), netcdf(self.data))
+        return write_file(Path(path), netcdf(self.data))
 
     def _repr_html_(self) -> str:
         """Show the figures in short in a notebook."""
@@ -181,14 +180,3 @@ def wide(data: xr.Dataset) -> pd.DataFrame:
 
 def _text(value: str | int | float) -> str:
     return f"{value:,.6g}" if isinstance(value, float) else str(value)
-
-
-def _write(path: Path, content: bytes) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace({path: content})
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise ResultError(
-            f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}"
-        ) from error
-    return path

@@ -35,6 +35,7 @@ __all__ = [
     "read_summary",
     "save",
     "unpack",
+    "write_file",
     "write_record",
 ]
 
@@ -165,18 +166,25 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
 
 
 def write_record(record: Mapping[str, object], path: Path) -> None:
-    """Write a record as a JSON file, atomically; its folder is created if necessary.
+    """Write a record as a JSON file, as :func:`write_file` does."""
+    write_file(path, (json.dumps(finite(record), indent=2, allow_nan=False) + "\n").encode())
+
+
+def write_file(path: Path, content: bytes) -> Path:
+    """Write a file, atomically; its folder is created if necessary.
 
     Raises
     ------
     ResultError
         The file cannot be written.
     """
-    make_folder(path.parent)
     try:
-        replace({path: (json.dumps(finite(record), indent=2, allow_nan=False) + "\n").encode()})
-    except OSError as error:
-        raise ResultError(f"{path}: cannot be written: {error.strerror or error}") from error
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace({path: content})
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise ResultError(f"{path}: cannot be written: {reason}") from error
+    return path
 
 
 def netcdf(data: xr.Dataset) -> bytes:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from opfmodel.errors import ResultError
 from opfmodel.results.aggregates import generation
-from opfmodel.results.report.grid import loading_percent
+from opfmodel.results.limits import loading
 from opfmodel.results.report.moments import Moments
 from opfmodel.results.report.page import Chart, Page, Section, Table, View
 from opfmodel.results.report.sheet import COLOURS, Sheet, steps
@@ -102,5 +102,5 @@ def _cost(data: xr.Dataset) -> Array | None:
 
 
 def _largest_loading(data: xr.Dataset) -> Array | None:
-    percent = loading_percent(data)
-    return None if percent is None else np.asarray(np.nanmax(percent, axis=0))
+    percent = loading(data)
+    return None if percent is None else np.asarray(np.nanmax(percent, axis=1))

@@ -14,7 +14,7 @@ __all__ = ["Futures", "futures"]
 
 Array = npt.NDArray[np.float64]
 
-# Quantity, title, unit, how components make one figure, and whether the last value is that at the end.
+# Quantity, title, unit, and how components make one figure.
 _QUANTITIES = (
     ("pd", "demand", "MW", np.sum),
     ("pg", "generation", "MW", np.sum),

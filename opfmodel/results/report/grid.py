@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from opfmodel.network.layout import MOST_BUSES, positions
+from opfmodel.results import limits
 from opfmodel.results.report.page import Chart, Diagram, Section, Table, Trace, View, of
 from opfmodel.results.report.sheet import COLOURS, Sheet, steps
 
-__all__ = ["loading", "loading_percent", "network", "prices", "voltages"]
+__all__ = ["loading", "network", "prices", "voltages"]
 
 Array = npt.NDArray[np.float64]
 
@@ -60,9 +61,10 @@ def voltages(sheet: Sheet) -> Section | None:
 
 def loading(sheet: Sheet) -> Section | None:
     """Loading of the branches with ratings, and a table of the most loaded ones."""
-    percent = loading_percent(sheet.data)
-    if percent is None:
+    known = limits.loading(sheet.data)
+    if known is None:
         return None
+    percent = known.T
     names = sheet.names("branch")
     peak = np.nanmax(np.where(np.isnan(percent), -np.inf, percent), axis=1)
     shown = sheet.add("loading", percent[:, :: sheet.moments.stride], peak)
@@ -78,10 +80,9 @@ def loading(sheet: Sheet) -> Section | None:
         views.insert(0, sheet.heat("loading", names, "%", "branch"))
     times = [int(np.nanargmax(percent[row])) for row in order[:_MOST_LISTED]]
     rating = np.broadcast_to(sheet.data["rating"].values, sheet.data["pf"].shape)
-    when = _moment_names(sheet)
     rows = [
-        [names[row], _end(sheet, "from", row), _end(sheet, "to", row), round(float(peak[row]), 3), when(time),
-         round(float(rating[time, row]), 3), int(np.sum(percent[row] >= 99.95))]
+        [names[row], _end(sheet, "from", row), _end(sheet, "to", row), round(float(peak[row]), 3),
+         sheet.moments.name(time), round(float(rating[time, row]), 3), int(np.sum(percent[row] >= 99.95))]
         for row, time in zip(order[:_MOST_LISTED], times, strict=True)
     ]  # fmt: skip
     columns = ["branch", "from", "to", "peak [%]", "when", "rating [MVA]", "stages at the limit"]
@@ -160,22 +161,6 @@ def _colours(sheet: Sheet) -> Iterator[tuple[str, Mapping[str, Any]]]:
         yield label, {"kind": kind, "array": array, "unit": own, "low": low, "high": high}
 
 
-def loading_percent(data: Any) -> Array | None:
-    """Loading in percent, ``(branches, stages)``; NaN without a rating."""
-    if not {"pf", "pt", "rating"} <= set(data):
-        return None
-    ends = [
-        np.hypot(data[f"p{end}"].values, data[f"q{end}"].values if f"q{end}" in data else 0.0) for end in "ft"
-    ]
-    rating = np.broadcast_to(data["rating"].values, ends[0].shape)
-    usable = np.isfinite(rating) & (rating > 0)
-    if not usable.any():
-        return None
-    percent = np.full(ends[0].shape, np.nan)
-    percent[usable] = 100 * np.maximum(*ends)[usable] / rating[usable]
-    return percent.T
-
-
 def _band(sheet: Sheet, values: Array, label: str) -> View:
     """Return the range, the middle and the mean of a quantity over the buses."""
     if values.shape[0] == 1:
@@ -224,11 +209,3 @@ def _limits(sheet: Sheet, limits: Mapping[str, Array]) -> list[Trace]:
 def _end(sheet: Sheet, end: str, row: int) -> str:
     ends = sheet.data.coords.get(f"branch_{end}_bus")
     return "" if ends is None else str(ends.values[row])
-
-
-def _moment_names(sheet: Sheet) -> Any:
-    """Return a function that names any stage, also those that charts leave out."""
-    from opfmodel.results.report.moments import Moments
-
-    every = Moments(sheet.data, 1)
-    return lambda time: every.labels[time]

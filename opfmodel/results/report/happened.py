@@ -38,7 +38,7 @@ def deviations(sheet: Sheet) -> Section | None:
         where = str(data[kind].values[row]) if kind in data.coords else ""
         energy = float(np.abs(values).sum()) * float(data.attrs.get("step_hours", 1.0))
         total = f"{energy:,.3f} MWh" if unit == "MW" and not worst else ""
-        rows.append([title, float(np.abs(values).max()), unit, where, _moment(sheet, int(time)), total])
+        rows.append([title, float(np.abs(values).max()), unit, where, sheet.moments.name(int(time)), total])
         label = f"{name.replace('_', ' ')} ({'largest' if worst else 'total'})"
         trace = steps(
             sheet, title, shown[:: sheet.moments.stride], fill="tozeroy", line={"color": COLOURS[3]}
@@ -64,12 +64,7 @@ def outages(sheet: Sheet) -> Section | None:
     happened = sheet.summary.get("outages") or {}
     if happened:
         rows = [
-            [
-                name,
-                len(stages),
-                _moment(sheet, stages[0]) if stages else "",
-                _moment(sheet, stages[-1]) if stages else "",
-            ]
+            [name, len(stages), *(sheet.moments.name(stages[end]) if stages else "" for end in (0, -1))]
             for name, stages in happened.items()
         ]
         columns = ["component", "steps out of service", "first", "last"]
@@ -121,10 +116,3 @@ def _checked(sheet: Sheet) -> Table | None:
     ]
     columns = ["constraint", "largest violation", "unit", "component", "when"]
     return Table("Largest violations found by the independent check", columns, rows)
-
-
-def _moment(sheet: Sheet, time: int) -> str:
-    """Name a stage, also one that charts leave out."""
-    from opfmodel.results.report.moments import Moments
-
-    return Moments(sheet.data, 1).labels[time] if 0 <= time < sheet.data.sizes["time"] else f"step {time}"

@@ -60,13 +60,15 @@ class Moments:
             return np.repeat(array.values[:, None].astype(float), len(self.labels), axis=1)
         return np.asarray(array.transpose(..., "time").values[..., :: self.stride], dtype=float)
 
+    def name(self, stage: int) -> str:
+        """Name any stage of the data, also one that is not shown, by its beginning."""
+        time = self.data["time"].values[stage]
+        return shown_in(time, self._zone) if self.dated else f"hour {time:g}"
+
     @cached_property
     def labels(self) -> list[str]:
-        """The beginnings of the stages as text."""
-        times = self.data["time"].values[:: self.stride]
-        if not self.dated:
-            return [f"hour {time:g}" for time in times]
-        return [shown_in(time, self._zone) for time in times]
+        """The beginnings of the stages that are shown, as text."""
+        return [self.name(stage) for stage in range(0, self.data.sizes["time"], self.stride)]
 
     @cached_property
     def axis(self) -> list[Any]:

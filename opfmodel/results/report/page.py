@@ -21,9 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from opfmodel.data.writing import replace
-from opfmodel.errors import ResultError
-from opfmodel.results.store import finite
+from opfmodel.results.store import finite, write_file
 
 __all__ = ["Chart", "Diagram", "Explorer", "Notes", "Page", "Section", "Table", "Tile", "Tiles", "View", "of"]
 
@@ -209,14 +207,7 @@ class Page:
         ResultError
             The file cannot be written.
         """
-        content = self.html().encode()
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            replace({path: content})
-        except (OSError, ValueError) as error:  # ValueError: a null character in the name
-            reason = getattr(error, "strerror", None) or error
-            raise ResultError(f"{path}: the report cannot be written: {reason}") from error
-        return path
+        return write_file(path, self.html().encode())
 
 
 def _plain(part: Part) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from opfmodel.results.report.units import dispatch, storage
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["report_page", "write_report"]
+__all__ = ["report_page"]
 
 _TOLERATED = 1e-5  # p.u.: solvers leave as much
 _ATTRIBUTES = (
@@ -71,17 +70,6 @@ def report_page(
     stages, status = data.sizes["time"], sheet.summary.get("status", data.attrs.get("status", ""))
     about = f"{stages:,} {'stage' if stages == 1 else 'stages'}, {data.sizes['bus']:,} buses, {status}"
     return Page(title, about, [section for section in made if section is not None], sheet.arrays)
-
-
-def write_report(path: Path, *given: Any, **named: Any) -> Path:
-    """Write the page that :func:`report_page` returns to a file.
-
-    Raises
-    ------
-    ResultError
-        The file cannot be written.
-    """
-    return report_page(*given, **named).write(path)
 
 
 def theory(analysis: Mapping[str, Any] | None) -> Section | None:
